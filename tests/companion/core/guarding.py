@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.events import FlightMode, RcChannels, SetMode
-from tests.companion.core.test_core import intruder
+from tests.companion.core.conftest import intruder
 
 
 def meet(bench, ahead_m=60.0, seconds=2.0):

@@ -25,8 +25,8 @@ from companion.events import (
     VehicleParameters,
 )
 from tests.companion.conftest import Bench, config, mission
+from tests.companion.core.conftest import intruder
 from tests.companion.core.guarding import meet, modes, over, taken
-from tests.companion.core.test_core import intruder
 
 TWO = TwoAutopilots(reason="two autopilots on this link (systems 1 and 2): set vehicle.system_id")
 

@@ -218,3 +218,9 @@ class Flying:
     def broken(self) -> list[GateRefused]:
         """What the gate says of it."""
         return self.gate.broken()
+
+
+def flown_at(one: Flying, *velocity: float) -> Flying:
+    """Let the vehicle fly a velocity already, so that a setpoint of it asks for no change."""
+    one.velocity = velocity[0], velocity[1], velocity[2]
+    return one.run()

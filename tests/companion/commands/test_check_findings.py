@@ -1,0 +1,249 @@
+"""What `companion check` finds about the vehicle, its link and the disk."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import re
+import socket
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from companion.autopilot.wire import MavlinkWriter
+from companion.commands import check as check_module
+from companion.commands.check import check
+from companion.config import Config, RecordConfig, VehicleConfig
+from tests.companion.commands.conftest import Vehicle
+
+
+@pytest.fixture
+def listed(vehicle: Vehicle, make_config: Callable[..., Config], tmp_path: Path) -> Callable[..., Any]:
+    """The findings of a check, by what they are about; keywords replace parts of the configuration."""
+
+    def run(code: int, **changes: Any) -> dict[str, list[tuple[str, str, str]]]:
+        base = msgspec.structs.replace(
+            make_config(use="watch"),
+            vehicle=VehicleConfig(link=f"tcp:127.0.0.1:{vehicle.port}", wait_s=60.0),
+            record=RecordConfig(folder=str(tmp_path / "runs")),
+        )
+        said: list[str] = []
+        assert check(msgspec.structs.replace(base, **changes), said.append, as_json=True) == code
+        (line,) = said
+        told = json.loads(line)
+        assert told["ready"] is (code == 0)
+        found: dict[str, list[tuple[str, str, str]]] = {}
+        for finding in told["findings"]:
+            found.setdefault(finding["what"], []).append((finding["light"], finding["text"], finding["do"]))
+            assert bool(finding["do"]) is (finding["light"] != "green"), finding
+        return found
+
+    return run
+
+
+def test_all_is_well_with_a_vehicle_that_sends_everything(
+    listed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Until it is asked for its parameters no more.
+    monkeypatch.setattr("companion.commands.check._PARAMETERS_S", 60.0)
+    found = listed(0)
+    for what in ("configuration", "disk", "policy", "link", "vehicle", "rates", "GNSS", "clock"):
+        assert {light for light, *_ in found[what]} == {"green"}, what
+    assert found["region"][0][:2] == ("yellow", "none: no Remote ID law applies")
+    assert found["radio"][0][0] == "yellow", "to watch without a radio is a choice"
+    assert "ardupilot, system 1" in found["vehicle"][0][1]
+    assert "satellites 12" in found["GNSS"][0][1]
+    assert "GLOBAL_POSITION_INT" in found["rates"][0][1]
+
+
+@pytest.mark.parametrize(
+    ("name", "light"),
+    [
+        ("GLOBAL_POSITION_INT", "red"),
+        ("GPS_RAW_INT", "red"),
+        ("EXTENDED_SYS_STATE", "red"),
+        ("SYSTEM_TIME", "red"),
+        ("LOCAL_POSITION_NED", "yellow"),
+        ("MISSION_CURRENT", "yellow"),
+    ],
+)
+def test_a_message_that_does_not_come_is_told(
+    vehicle: Vehicle, listed: Callable[..., Any], name: str, light: str
+) -> None:
+    vehicle.silent.add(name)
+    good, short = listed(1 if light == "red" else 0)["rates"]
+    assert name not in good[1]
+    assert short[0] == light
+    assert short[1].startswith(f"{name} 0.0 a second")
+
+
+def test_a_vehicle_that_does_not_know_where_it_is(vehicle: Vehicle, listed: Callable[..., Any]) -> None:
+    vehicle.lat_e7, vehicle.fix_type = 0, 1
+    found = listed(1)
+    assert found["GNSS"] == [("red", "no 3D fix (fix type 1)", found["GNSS"][0][2])]
+    assert "wait until the autopilot knows its position" in found["rates"][1][2]
+
+
+def test_clocks(vehicle: Vehicle, listed: Callable[..., Any]) -> None:
+    vehicle.clock_off_s = 3600.0
+    ((light, text, _),) = listed(0)["clock"]
+    assert light == "yellow"
+    assert "+3600." in text
+    vehicle.clock_off_s = math.inf
+    assert listed(1)["clock"][0][:2] == ("red", "the vehicle does not know UTC")
+
+
+def test_a_link_that_is_choked_or_noisy(
+    vehicle: Vehicle, listed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vehicle.old_s, vehicle.noise = 0.9, b"\xfd\x04\x00\x00\x00\x01\x01\x00\x00\x00abcdef"
+    monkeypatch.setattr("companion.commands.check._MEASURE_S", 1.5)
+    choked = listed(1)["link"]
+    assert "damaged frames" in choked[0][1]
+    assert choked[1][0] == "red"
+    assert "s old" in choked[1][1]
+
+
+def test_two_autopilots_are_not_ready_until_one_is_configured(
+    vehicle: Vehicle, listed: Callable[..., Any]
+) -> None:
+    writer = MavlinkWriter(2, 1)
+    vehicle.forwarded = writer.pack(writer.encoder.heartbeat_encode(2, 12, 1, 0, 4))
+    (light, text, do) = listed(1)["vehicle"][-1]
+    assert (light, do) == ("red", "set it to the right one, or stop what forwards the other")
+    assert text == "two autopilots on this link (systems 1 and 2): set vehicle.system_id"
+    link = f"tcp:127.0.0.1:{vehicle.port}"
+    found = listed(0, vehicle=VehicleConfig(link=link, system_id=1, wait_s=60.0))
+    assert "system 1" in found["vehicle"][0][1]
+
+
+def test_bytes_that_are_no_vehicle_are_told_from_silence(
+    vehicle: Vehicle, listed: Callable[..., Any]
+) -> None:
+    vehicle.silent.add("HEARTBEAT")
+    link = f"tcp:127.0.0.1:{vehicle.port}"
+    assert (
+        "MAVLink frames were received"
+        in listed(1, vehicle=VehicleConfig(link=link, wait_s=0.5))["vehicle"][0][1]
+    )
+    silent = listed(1, vehicle=VehicleConfig(link="udpin:127.0.0.1:0", wait_s=0.1))
+    assert "no data was received" in silent["vehicle"][0][1]
+    absent = listed(1, vehicle=VehicleConfig(link="serial:/dev/nothing:57600", wait_s=0.1))
+    assert absent["link"][0][0] == "red"
+    other = VehicleConfig(link=link, system_id=7, wait_s=0.5)
+    _, text, do = listed(1, vehicle=other)["vehicle"][0]
+    assert text.endswith("but no autopilot HEARTBEAT from system 7")
+    assert do.startswith("set vehicle.system_id to the autopilot's system id")
+
+
+@pytest.mark.parametrize(
+    ("link", "words"),
+    [
+        ("serial:/dev/null:57600", "this is not a serial port"),
+        ("tcp:127.0.0.1:1", "no program accepts connections there; first start the program at the other end"),
+        (
+            "udpin:192.0.2.1:14550",
+            "this computer has no such address; use 0.0.0.0 to listen on all of its addresses",
+        ),
+    ],
+)
+def test_a_link_that_cannot_be_opened_says_why(listed: Callable[..., Any], link: str, words: str) -> None:
+    ((light, text, _),) = listed(1, vehicle=VehicleConfig(link=link, wait_s=0.1))["link"]
+    assert (light, text) == ("red", f"vehicle.link: {link}: {words}")
+
+
+class Sender:
+    """Datagrams to one port, as fast as a vehicle's, until it is closed."""
+
+    def __init__(self, port: int, *messages: bytes) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._send, args=(port, messages), daemon=True)
+        self._thread.start()
+
+    def _send(self, port: int, messages: tuple[bytes, ...]) -> None:
+        while not self._ended.wait(0.02):
+            for message in messages:
+                self._socket.sendto(message, ("127.0.0.1", port))
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._socket.close()
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        return int(taken.getsockname()[1])
+
+
+@pytest.mark.usefixtures("vehicle")
+def test_datagrams_that_are_no_mavlink_are_told_from_silence(listed: Callable[..., Any]) -> None:
+    port = free_port()
+    with contextlib.closing(Sender(port, b"$GPGGA,1*00")):
+        found = listed(1, vehicle=VehicleConfig(link=f"udpin:127.0.0.1:{port}", wait_s=0.5))
+    ((_, text, do),) = found["vehicle"]
+    assert re.search(r"; \d+ datagrams were received, but no MAVLink$", text)
+    assert do == "check what sends to this address"
+
+
+@pytest.mark.usefixtures("vehicle")
+def test_two_that_send_to_one_port_are_told_of(listed: Callable[..., Any]) -> None:
+    """The link believes the first sender alone, so that two autopilots are never seen."""
+    port = free_port()
+    beats = [
+        writer.pack(writer.encoder.heartbeat_encode(2, 3, 1, 5, 4))
+        for writer in (MavlinkWriter(1, 1), MavlinkWriter(2, 1))
+    ]
+    link = f"udpin:127.0.0.1:{port}"
+    with contextlib.closing(Sender(port, beats[0])), contextlib.closing(Sender(port, beats[1])):
+        both = listed(1, vehicle=VehicleConfig(link=link, wait_s=60.0))["link"]
+        neither = listed(1, vehicle=VehicleConfig(link=link, system_id=7, wait_s=0.5))["vehicle"]
+    light, text, do = both[1]
+    assert light == "yellow"
+    assert re.search(r"another sender uses this port; \d+ datagrams were ignored", text)
+    assert do.startswith("let only one program send to this port")
+    assert re.search(r"from system 7; \d+ datagrams of another sender were ignored", neither[0][1])
+    with contextlib.closing(Sender(port, beats[0])):
+        assert len(listed(1, vehicle=VehicleConfig(link=link, wait_s=60.0))["link"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("free", "delete_oldest", "old_runs", "light"),
+    [
+        (5000.0, False, 0, "green"),
+        (400.0, False, 3, "yellow"),
+        (100.0, False, 3, "red"),
+        (100.0, True, 3, "yellow"),
+        (100.0, True, 0, "red"),
+    ],
+)
+def test_room_on_the_disk(
+    listed: Callable[..., Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    free: float,
+    delete_oldest: bool,
+    old_runs: int,
+    light: str,
+) -> None:
+    monkeypatch.setattr(check_module, "free_mb", lambda _folder: free)
+    monkeypatch.setattr(check_module, "finished_runs", lambda _folder: [tmp_path] * old_runs)
+    monkeypatch.setattr(check_module, "_vehicle", lambda *_: None)
+    record = RecordConfig(folder=str(tmp_path / "runs"), delete_oldest=delete_oldest)
+    assert listed(1 if light == "red" else 0, record=record)["disk"][0][0] == light
+
+
+def test_a_folder_that_cannot_be_written(
+    listed: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check_module, "_vehicle", lambda *_: None)
+    (tmp_path / "file").write_text("")
+    found = listed(1, record=RecordConfig(folder=str(tmp_path / "file" / "runs")))
+    assert found["disk"][0][:2] == ("red", f"{tmp_path}/file/runs: cannot be written")
