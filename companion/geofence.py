@@ -100,9 +100,9 @@ def fault_of(area: FenceArea) -> str | None:
         name = "center" if circle else f"points[{number}]"
         # NaN fails these comparisons too.
         if not -90.0 <= lat_deg <= 90.0:
-            return f"{name}: latitude {lat_deg}: allowed are -90 to 90"
+            return f"{name}: latitude {lat_deg}: allowed: -90 to 90"
         if not -180.0 <= lon_deg <= 180.0:
-            return f"{name}: longitude {lon_deg}: allowed are -180 to 180"
+            return f"{name}: longitude {lon_deg}: allowed: -180 to 180"
     return _circle_fault(area) if circle else _polygon_fault(area)
 
 

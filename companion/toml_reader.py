@@ -76,7 +76,7 @@ def _explain(text: str, raw: object, kind: type) -> str:
     section, _, field = key.rpartition(".")
     tagged = [c.__struct_config__ for c in _structs_at(kind, section, raw)]
     if field in {c.tag_field for c in tagged}:
-        return f"{key}: {value!r}: allowed are {_listed([c.tag for c in tagged])}"
+        return f"{key}: {value!r}: allowed: {_listed([c.tag for c in tagged])}"
     hint = _hint_at(kind, key, raw)
     if "Expected `array`" in what and _structs(hint):
         return f"{key}: one table for each {key} is needed: write [[{key}]]"
@@ -84,7 +84,7 @@ def _explain(text: str, raw: object, kind: type) -> str:
         return f"{key.removesuffix('[...]')}: every value in it must be {_wanted(hint)}"
     held = "" if _is_secret(hint) else f" {value!r}:"
     if what.startswith("Invalid enum value"):
-        return f"{key}:{held} allowed are {_listed(_choices(hint))}"
+        return f"{key}:{held} allowed: {_listed(_choices(hint))}"
     return f"{key}:{held} expected {_wanted(hint)}"
 
 

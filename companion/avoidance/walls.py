@@ -19,8 +19,6 @@ from companion.errors import ConfigError
 from companion.events import FenceArea
 from companion.geometry import LocalFrame
 
-Point = tuple[float, float]
-
 
 def walls_of(
     areas: Sequence[FenceArea], frame: LocalFrame, trajectory: Trajectory | None, sigma_m: float

@@ -143,7 +143,7 @@ def _shortcuts(texts: Sequence[str]) -> tuple[RadioConfig, ...]:
         kind, _, where = text.partition("=")
         if kind not in ("hci", "wifi", "ether") or not where:
             raise ConfigError(
-                f"--radio: {text!r}: allowed are hci=CHANNEL, wifi=MONITOR_INTERFACE and ether=HOST:PORT"
+                f"--radio: {text!r}: allowed: hci=CHANNEL, wifi=MONITOR_INTERFACE and ether=HOST:PORT"
             )
         match kind:
             case "hci":

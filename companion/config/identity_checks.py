@@ -29,7 +29,7 @@ def check_identity(identity: IdentityConfig, remote_id: RemoteIdConfig, region: 
     """
     notes: list[str] = []
     if identity.id_type > IdType.SPECIFIC_SESSION:
-        raise ValueError(f"identity.id_type: {int(identity.id_type)}: allowed are 0 to 4")
+        raise ValueError(f"identity.id_type: {int(identity.id_type)}: allowed: 0 to 4")
     if identity.id_type is IdType.NONE and region.basic_id_period_s is not None:
         raise ValueError(f"identity.id_type: 0 means no identity; region {region.name!r} requires one")
     try:

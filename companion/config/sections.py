@@ -19,8 +19,6 @@ from companion.remote_id.messages import IdType, UaType
 from companion.remote_id.region import Region, TransportName
 from companion.toml_reader import SECRET
 
-Ratio = Annotated[float, Meta(ge=0, le=1)]
-
 CHOOSER_WORDS = ("rule", "fixed")
 """Values of `atmc.policy` other than a path: "rule" is the one-line rule, "fixed" the best fixed legal
 set."""

@@ -95,7 +95,7 @@ def check_operator_id_eu(text: str) -> Verdict:
     for at, character in enumerate(public[_COUNTRY:], start=_COUNTRY + 1):
         if character not in _BASE_36:
             raise ValueError(
-                f"{public!r}: character {at} is {character!r}; allowed are digits and lower-case letters"
+                f"{public!r}: character {at} is {character!r}; allowed: digits and lower-case letters"
             )
     if len(public) < PUBLIC_LENGTH:
         raise ValueError(

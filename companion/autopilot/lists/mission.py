@@ -95,9 +95,9 @@ def path_from_mission(
         elif item.command == DO_CHANGE_SPEED:
             builder.change_speed(item)
         else:
-            raise _refused(item, f"cannot be flown; allowed are {_ALLOWED}")
+            raise _refused(item, f"cannot be flown; allowed: {_ALLOWED}")
     if len(builder.waypoints) < 2:
-        raise ConfigError(f"mission: no waypoint to fly in its {len(items)} items; allowed are {_ALLOWED}")
+        raise ConfigError(f"mission: no waypoint to fly in its {len(items)} items; allowed: {_ALLOWED}")
     return TrajectoryFile(altitude="home", waypoint=tuple(builder.waypoints))
 
 
@@ -170,7 +170,7 @@ class _Builder:
         home_alt_msl_m: float | None,
     ) -> None:
         if not 0 < speed_mps <= MAX_SPEED_MPS:
-            raise ConfigError(f"mission speed {speed_mps} m/s: allowed is above 0 to {MAX_SPEED_MPS}")
+            raise ConfigError(f"mission speed {speed_mps} m/s: allowed: above 0 to {MAX_SPEED_MPS}")
         self._speed_mps = speed_mps
         self._climb_mps = STEEPEST * max_climb_mps
         self._descent_mps = STEEPEST * max_descent_mps
@@ -180,12 +180,12 @@ class _Builder:
     def change_speed(self, item: MissionItem) -> None:
         kind, speed_mps = item.params[0], item.params[1]
         if kind not in _SPEED_KINDS:
-            raise _refused(item, f"speed type {kind}; allowed are 0 (airspeed) and 1 (ground speed)")
+            raise _refused(item, f"speed type {kind}; allowed: 0 (airspeed) and 1 (ground speed)")
         if speed_mps == -1.0:
             return
         if speed_mps is None or not 0 < speed_mps <= MAX_SPEED_MPS:
             raise _refused(
-                item, f"speed {speed_mps} m/s; allowed is above 0 to {MAX_SPEED_MPS}, or -1 for no change"
+                item, f"speed {speed_mps} m/s; allowed: above 0 to {MAX_SPEED_MPS}, or -1 for no change"
             )
         self._speed_mps = speed_mps
 
@@ -197,7 +197,7 @@ class _Builder:
         length_m = math.hypot(north, east, down)
         if length_m > MAX_LEG_M:
             raise _refused(
-                item, f"{length_m / 1e3:.0f} km from the point before; allowed is {MAX_LEG_M / 1e3:.0f}"
+                item, f"{length_m / 1e3:.0f} km from the point before; allowed: {MAX_LEG_M / 1e3:.0f}"
             )
         if length_m > SAME_PLACE_M:
             # The first leg starts at the vehicle's present position and may be straight up.
@@ -217,7 +217,7 @@ class _Builder:
         if hold_s is None:
             return 0.0
         if not 0 <= hold_s <= MAX_HOLD_S:
-            raise _refused(item, f"hold time {hold_s} s; allowed is 0 to {MAX_HOLD_S}")
+            raise _refused(item, f"hold time {hold_s} s; allowed: 0 to {MAX_HOLD_S}")
         return hold_s
 
     def _add(self, after_s: float, lat_deg: float, lon_deg: float, alt_m: float) -> None:
@@ -229,7 +229,7 @@ class _Builder:
         if item.frame not in _MSL_FRAMES | _HOME_FRAMES:
             raise _refused(
                 item,
-                f"MAV_FRAME {item.frame}; allowed are 0 and 5 (above mean sea level), 3 and 6 (above home)",
+                f"MAV_FRAME {item.frame}; allowed: 0 and 5 (above mean sea level), 3 and 6 (above home)",
             )
         lat_deg, lon_deg, alt_m = item.lat_deg, item.lon_deg, item.alt_m
         if lat_deg is None or lon_deg is None or alt_m is None:
@@ -245,7 +245,5 @@ class _Builder:
         if item.frame in _HOME_FRAMES:
             return lat_deg, lon_deg, alt_m
         if self._home_alt_msl_m is None:
-            raise _refused(
-                item, "altitude above mean sea level, and home's is not known; allowed are 3 and 6"
-            )
+            raise _refused(item, "altitude above mean sea level, and home's is not known; allowed: 3 and 6")
         return lat_deg, lon_deg, alt_m - self._home_alt_msl_m

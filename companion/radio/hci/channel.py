@@ -76,7 +76,7 @@ def open_channel(name: str) -> Channel:
         return UartChannel(where, int(number))
     if kind == "tcp" and where and is_number and 0 < int(number) < 1 << 16:
         return TcpChannel(where.strip("[]"), int(number))
-    raise ConfigError(f"radio.channel: {name!r}: allowed are {_FORMS}")
+    raise ConfigError(f"radio.channel: {name!r}: allowed: {_FORMS}")
 
 
 class _SocketChannel:

@@ -39,8 +39,6 @@ class Reassembler:
 
     def __init__(self) -> None:
         self._partial: OrderedDict[tuple[bytes, int], _Partial] = OrderedDict()
-        self.incomplete = 0
-        """Number of advertisements of which the controller or this class lost a part."""
 
     def add_report(self, report: Report, now_s: float) -> HeardFrame | None:
         """Return the frame that this report completes, if it may hold Remote ID."""
@@ -59,16 +57,13 @@ class Reassembler:
         key = (report.address, report.sid)
         before = self._partial.pop(key, None)
         if before is not None and now_s - before.since_s > _MAX_AGE_S:
-            self.incomplete += 1
             before = None
         data = report.data if before is None else before.data + report.data
         if report.data_status is DataStatus.COMPLETE:
             return data
         if report.data_status is not DataStatus.MORE_TO_COME or len(data) > _MAX_DATA:
-            self.incomplete += 1
             return None
         if len(self._partial) >= _MAX_PARTIAL:
             self._partial.popitem(last=False)
-            self.incomplete += 1
         self._partial[key] = _Partial(data, now_s if before is None else before.since_s)
         return None

@@ -34,11 +34,11 @@ def open_link(name: str, trouble: LinkTrouble | None = None, key: str = "vehicle
     if kind == "serial":
         device, _, baud = rest.rpartition(":")
         if not device or not _is_number(baud) or int(baud) == 0:
-            raise ConfigError(f"{key}: {name!r}: allowed are {_FORMS}")
+            raise ConfigError(f"{key}: {name!r}: allowed: {_FORMS}")
         return SerialLink(device, int(baud), trouble, key)
     host, _, port = rest.rpartition(":")
     if kind not in ("udpin", "udpout", "tcp") or not host or not _is_number(port) or int(port) > 65535:
-        raise ConfigError(f"{key}: {name!r}: allowed are {_FORMS}")
+        raise ConfigError(f"{key}: {name!r}: allowed: {_FORMS}")
     address = (host.strip("[]"), int(port))
     try:
         if kind == "tcp":

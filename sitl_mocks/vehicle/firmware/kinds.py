@@ -86,7 +86,6 @@ class Manners:
     """Whether a mode command is first acknowledged with result 0, and then with the actual result."""
     set_mode_acked: bool
     """Whether the old SET_MODE message is answered with COMMAND_ACK."""
-    arms_in_external: bool
     arms_in: frozenset[VehicleMode]
     failure_result: int
     """Result in the ACK of a refused arming, take-off or mode change."""

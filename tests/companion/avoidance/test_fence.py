@@ -51,7 +51,7 @@ def test_sound_areas(area: FenceArea) -> None:
 BAD = [
     (polygon(), "points: 0 points"),
     (polygon(*SQUARE[:2]), "points: 2 points; a polygon has at least 3"),
-    (polygon((91.0, 8.0), *SQUARE), "points[0]: latitude 91.0: allowed are -90 to 90"),
+    (polygon((91.0, 8.0), *SQUARE), "points[0]: latitude 91.0: allowed: -90 to 90"),
     (polygon(*SQUARE, (47.0, 180.1)), "points[4]: longitude 180.1"),
     (polygon(*SQUARE, (math.nan, 8.0)), "points[4]: latitude nan"),
     (polygon(*SQUARE, (47.0, math.inf)), "points[4]: longitude inf"),

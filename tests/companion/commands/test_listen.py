@@ -316,7 +316,7 @@ def test_what_sends_is_left_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
 @pytest.mark.parametrize("text", ["wifi", "wifi=", "lora=1", "=mon0", ""])
 def test_a_radio_that_is_none_is_refused_in_words(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["remote-id", "listen", "--radio", text]) == 2
-    assert f"--radio: {text!r}: allowed are hci=CHANNEL" in capsys.readouterr().err
+    assert f"--radio: {text!r}: allowed: hci=CHANNEL" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("text", ["-1", "nan", "inf", "soon"])

@@ -264,7 +264,7 @@ def test_every_kind_of_identity_can_be_sound(id_type: IdType, uas_id: str) -> No
         ({"uas_id": "A1"}, "identity.uas_id: 'A1': 2 characters"),
         ({"uas_id": "", "id_type": IdType.SPECIFIC_SESSION}, "identity.uas_id: byte 1"),
         ({"uas_id": "A1", "id_type": IdType.NONE}, "identity.id_type: 0"),
-        ({"uas_id": "A1", "id_type": IdType(9)}, "identity.id_type: 9: allowed are 0 to 4"),
+        ({"uas_id": "A1", "id_type": IdType(9)}, "identity.id_type: 9: allowed: 0 to 4"),
         (
             {"region": Region(), "uas_id": "Ä", "id_type": IdType.NONE},
             "identity.uas_id: 'Ä': allowed: printable ASCII",

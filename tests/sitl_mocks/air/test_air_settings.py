@@ -46,7 +46,7 @@ def test_each_model_gives_its_channel() -> None:
 @pytest.mark.parametrize(
     ("air", "words"),
     [
-        ('model = "radio"\n', "air.model: 'radio': allowed are 'interval', 'analytic', 'packets'"),
+        ('model = "radio"\n', "air.model: 'radio': allowed: 'interval', 'analytic', 'packets'"),
         ('model = "packets"\ndelay_s = [0.0, 1.0]\n', 'air.delay_s: allowed only with model "interval"'),
         ('model = "analytic"\nloss = 0.1\n', 'air.loss: allowed only with model "interval"; here'),
         ('model = "packets"\nrange_m = 100.0\n', 'air.range_m: allowed only with model "interval"'),

@@ -129,7 +129,7 @@ def test_the_standard_s_file_holds_the_airtimes_of_real_frames():
         ),
         ("[wifi]\nswitch_ms = 5e4", r"wifi.scan_ms and switch_ms: 50006 is too long; allowed: up to 41666.7"),
         ("gnss_period_ms = 0.0", r"gnss_period_ms: 0 is out of range; allowed: more than 0"),
-        ('wifi_channels = "all"', r"wifi_channels: 'all': allowed are 'shared', 'random'"),
+        ('wifi_channels = "all"', r"wifi_channels: 'all': allowed: 'shared', 'random'"),
         ("[propagation]\nexponent = 0.0", r"propagation.exponent: 0 is out of range; allowed: 1 to 10"),
         (
             "[propagation]\nshadowing_sigma_db = -1.0",

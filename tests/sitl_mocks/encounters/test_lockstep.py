@@ -267,7 +267,7 @@ def test_wrong_options_are_one_line_and_exit_code_2(capsys, arguments, words):
     ("text", "words"),
     [
         ("", "give either geometry or path"),
-        ('geometry = "S9"\n', "geometry: 'S9': allowed are 'S1', 'S2', 'S3'"),
+        ('geometry = "S9"\n', "geometry: 'S9': allowed: 'S1', 'S2', 'S3'"),
         (
             'geometry = "S2"\n[air]\nlos = 1\n',
             "air.los: unknown key; allowed here: model, parameters, delay_s, loss",
