@@ -9,7 +9,15 @@ import msgspec
 import pytest
 
 from companion.authority.table import State
-from companion.config import Config, FlightConfig, IdentityConfig, TrajectoryFile, VehicleConfig, Waypoint
+from companion.config import (
+    Config,
+    FlightConfig,
+    IdentityConfig,
+    LimitsConfig,
+    TrajectoryFile,
+    VehicleConfig,
+    Waypoint,
+)
 from companion.core import Companion
 from companion.events import (
     Command,
@@ -194,8 +202,12 @@ def on_mission() -> Bench:
 def guarded() -> Callable[..., Bench]:
     """Build a bench that flies its mission, which is guarded, at 3 m/s due north, to 300 m."""
 
-    def build(items: tuple[MissionItem, ...] | None = None, **flight: object) -> Bench:
-        made = msgspec.structs.replace(config(use="guard", **flight), path=None)
+    def build(
+        items: tuple[MissionItem, ...] | None = None, limits: LimitsConfig | None = None, **flight: object
+    ) -> Bench:
+        made = msgspec.structs.replace(
+            config(use="guard", **flight), path=None, limits=limits or LimitsConfig()
+        )
         items = items or mission(300.0, 900.0)
         bench = Bench(Companion(made), mission=items, mode=FlightMode.MISSION)
         bench.velocity_ned_mps = (3.0, 0.0, 0.0)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import msgspec
 import pytest
 
 from companion.authority.table import HOLDING, State
+from companion.config import LimitsConfig
 from companion.core import Companion
 from companion.events import (
     AuthorityChanged,
@@ -272,3 +275,56 @@ def test_a_mission_that_would_begin_anew_is_not_guarded(guarded):
     bench.step(400)
     assert bench.core.state is State.STANDBY
     assert any(isinstance(c, Say) and "MIS_RESTART 1" in c.text for _, c in bench.log)
+
+
+def leading_to(bench, height_m, north_m=300.0):
+    """Taken on the way to an item at this height above home; 0 leaves its height open."""
+    bench.mission = tuple(msgspec.structs.replace(item, alt_m=height_m) for item in mission(north_m, 900.0))
+    taken(bench)
+    bench.step(10)
+    assert way_end_m(bench) == pytest.approx(north_m, abs=1.0)
+    return bench
+
+
+@pytest.mark.parametrize(
+    ("height_m", "item_m", "floor_m"),
+    [
+        (50.0, 50.0, 15.0),
+        (8.0, 50.0, 8.0),
+        (50.0, 8.0, 8.0),
+        (8.0, 4.0, 4.0),
+        (50.0, 0.0, 15.0),
+        (8.0, 0.0, 8.0),
+    ],
+)
+def test_the_floor_is_above_neither_the_vehicle_nor_its_item(guarded, height_m, item_m, floor_m):
+    bench = guarded()
+    bench.height_m = height_m
+    bench.step(20)
+    limits = bench.core.config.limits
+    assert bench.core.plan.course.floor_height_m(limits) == min(15.0, height_m)
+    leading_to(bench, item_m)
+    assert bench.core.plan.course.floor_height_m(limits) == floor_m
+
+
+def test_an_item_without_a_height_is_led_to_level(guarded):
+    points_ned_m = leading_to(guarded(), 0.0).core.plan.course.law.trajectory.points_ned_m
+    assert points_ned_m[-1][2] == pytest.approx(points_ned_m[-2][2], abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("north_m", "item_m", "seconds"),
+    [
+        (300.0, 50.0, 300.0 / 3.0),
+        (400.0, 250.0, math.hypot(400.0, 200.0) / 3.0),
+        (90.0, 170.0, 120.0 / 1.5),
+        (20.0, 5.0, 45.0 / 2.5),
+    ],
+    ids=["level", "slanting", "steep up", "steep down"],
+)
+def test_the_way_takes_as_long_as_its_length_or_its_climb(guarded, north_m, item_m, seconds):
+    """At the 3 m/s that were flown, climbing at most at 1.5 m/s and descending at most at 2.5 m/s."""
+    bench = guarded(limits=LimitsConfig(max_climb_mps=1.5, max_descent_mps=2.5))
+    assert leading_to(bench, item_m, north_m).core.plan.course.law.trajectory.times_s[-1] == pytest.approx(
+        seconds, rel=0.02
+    )

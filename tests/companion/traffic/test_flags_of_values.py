@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import random
 
 import pytest
 
-from companion.traffic.plausibility import Flag
+from companion.remote_id.messages import Location
+from companion.traffic.fix import Fix
+from companion.traffic.plausibility import Flag, MotionWindow, climbs_impossibly
 from tests.companion.traffic.flights import (
     Listener,
     fly,
@@ -94,6 +97,65 @@ def test_velocity_that_the_positions_do_not_follow(change, rate_hz):
     assert listener.flags() == frozenset()
 
 
+def strays(first_mps, rest_mps, gap_s, off_m, stamped=True, **content):
+    """Whether a window's last position, `off_m` farther east than velocities lead, speaks against them."""
+    made, last = [], math.ceil(5.0 / gap_s)
+    for k in range(last + 1):
+        v_mps = rest_mps if k else first_mps
+        # The first interval is travelled at the mean of both velocities.
+        east_m = gap_s * (0.5 * (first_mps + rest_mps) + rest_mps * (k - 1)) if k else 0.0
+        made.append(
+            Fix(
+                position=(0.0, east_m + (off_m if k == last else 0.0), 0.0),
+                velocity=(0.0, v_mps, 0.0),
+                sigma_m=3.0,
+                sigma_mps=0.5,
+                vertical_known=True,
+                stamp_s=10.0 + gap_s * k if stamped else None,
+                lead_s=0.0,
+                content=Location(**content),
+            )
+        )
+    window = MotionWindow(made[0], 10.2)
+    answers = [window.check(fix, 10.2 + gap_s * k) for k, fix in enumerate(made[1:], start=1)]
+    assert answers[:-1] == [None] * (last - 1)
+    return answers[-1]
+
+
+DECLARED = {"horizontal_accuracy_m": 1.0, "speed_accuracy_mps": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("first_mps", "rest_mps", "gap_s", "stamped", "content", "allowed_m"),
+    [
+        # Per second 2.5 m times the gap, and the velocity's accuracy; thrice both positions' accuracies.
+        (0.0, 0.0, 1.0, True, DECLARED, 5.0 * 3.5 + 6.0),
+        (0.0, 0.0, 2.0, True, DECLARED, 6.0 * 6.0 + 6.0),
+        (0.0, 0.0, 5.0, True, DECLARED, 5.0 * 13.5 + 6.0),
+        (0.0, 0.0, 1.0, True, {}, 5.0 * 5.5 + 60.0),
+        # Half a second, or two without timestamps, of the greater speed; 2 % of the way.
+        (20.0, 20.0, 1.0, True, DECLARED, 23.5 + 10.0 + 2.0),
+        (20.0, 20.0, 1.0, False, DECLARED, 23.5 + 40.0 + 2.0),
+        (20.0, 0.0, 1.0, True, DECLARED, 23.5 + 10.0 + 0.2),
+        (0.0, 20.0, 1.0, True, DECLARED, 23.5 + 10.0 + 1.8),
+    ],
+)
+def test_how_far_positions_may_stray_from_the_velocities(
+    first_mps, rest_mps, gap_s, stamped, content, allowed_m
+):
+    def judged(off_m):
+        return strays(first_mps, rest_mps, gap_s, off_m, stamped, **content)
+
+    assert judged(allowed_m - 0.1) is False
+    assert judged(allowed_m + 0.1) is True
+    assert judged(-allowed_m - 0.1) is True
+
+
+@pytest.mark.parametrize("gap_s", [5.1, 60.0])
+def test_after_a_long_gap_positions_and_velocities_are_not_compared(gap_s):
+    assert strays(0.0, 0.0, gap_s, 1e6, **DECLARED) is None
+
+
 PRECISE = {"horizontal_accuracy_m": 1.0, "speed_accuracy_mps": 0.3}
 
 
@@ -170,6 +232,40 @@ def test_a_place_that_cannot_be():
     fly(listener, straight(), seconds(5))
     fly(listener, straight(north_m=90_000.0), seconds(3, 15.0))
     assert listener.flags() == {Flag.IMPOSSIBLE_VALUES}
+
+
+@pytest.mark.parametrize(
+    ("elapsed_s", "accuracy_m", "possible_m"),
+    [
+        # Three times both accuracies (25 m if not declared), and 62 m/s for half a second more than elapsed.
+        (0.0, 3.0, 18.0 + 31.0),
+        (1.0, 3.0, 18.0 + 93.0),
+        (-1.0, 3.0, 18.0 + 93.0),
+        (4.0, 10.0, 60.0 + 279.0),
+        (1.0, None, 150.0 + 93.0),
+    ],
+)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_greatest_change_of_altitude(elapsed_s, accuracy_m, possible_m, sign):
+    def at(alt_m):
+        return Location(alt_geodetic_m=alt_m, vertical_accuracy_m=accuracy_m)
+
+    assert not climbs_impossibly(at(500.0), at(500.0 + sign * (possible_m - 0.1)), elapsed_s)
+    assert climbs_impossibly(at(500.0), at(500.0 + sign * (possible_m + 0.1)), elapsed_s)
+    assert not climbs_impossibly(at(500.0), at(None), elapsed_s)
+    assert not climbs_impossibly(at(None), at(500.0), elapsed_s)
+
+
+@pytest.mark.parametrize(
+    ("sent_s", "heard_s"),
+    [([10.0, 14.5], [10.1, 14.6]), ([10.0, 14.5], [14.6, 14.7]), ([14.0, 14.5], [14.1, 19.0])],
+)
+def test_altitude_changes_with_the_longer_of_what_passed_for_sender_and_receiver(sent_s, heard_s):
+    """300 m are too much for half a second, and possible in 4.4 s."""
+    listener = Listener()
+    for k, (at_s, now_s) in enumerate(zip(sent_s, heard_s, strict=True)):
+        fly(listener, straight(), [at_s], delay_s=now_s - at_s, alt_geodetic_m=500.0 + 300.0 * k)
+    assert Flag.IMPOSSIBLE_VALUES not in listener.traffic.tracks["X"].doubts.evidence
 
 
 def test_altitudes_that_leap():

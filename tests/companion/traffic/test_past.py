@@ -115,6 +115,29 @@ def test_however_often_positions_come_a_velocity_comes_of_them(rate_hz):
     assert listener.traffic.tracks["X"].velocity_known
 
 
+NOTHING_OF_MOTION = {"speed_mps": None, "direction_deg": None, "vertical_speed_mps": None}
+
+
+@pytest.mark.parametrize(
+    ("change", "down_mps"),
+    [({}, -3.0), ({"alt_geodetic_m": None}, 0.0), ({"vertical_accuracy_m": 45.0}, 0.0)],
+    ids=["known", "no height", "too inaccurate to be known"],
+)
+def test_a_climb_comes_of_the_heights_if_they_are_known(change, down_mps):
+    listener = Listener()
+    for at_s in seconds(10, rate_hz=2.0):
+        height = {"alt_geodetic_m": 497.0 + 3.0 * (at_s - 10.0)}
+        fly(listener, straight(), [at_s], **NOTHING_OF_MOTION, **(height | change))
+    assert neighbour(listener).velocity_ned_mps == pytest.approx((0.0, 15.0, down_mps), abs=0.1)
+
+
+def test_a_height_that_is_heard_for_the_first_time_is_no_climb():
+    listener = Listener()
+    fly(listener, straight(), seconds(3), **NOTHING_OF_MOTION, alt_geodetic_m=None)
+    fly(listener, straight(), [13.0], **NOTHING_OF_MOTION, alt_geodetic_m=597.0)
+    assert neighbour(listener).velocity_ned_mps == pytest.approx((0.0, 15.0, 0.0), abs=0.1)
+
+
 # ------------------------------------------------------------ silence
 
 
