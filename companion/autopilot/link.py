@@ -34,6 +34,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal
 
+import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot import encoders, remote_id
@@ -42,6 +43,7 @@ from companion.autopilot.counts import LinkCounts
 from companion.autopilot.heard_vehicle import HeardVehicle, Vehicle, from_autopilot
 from companion.autopilot.lists.downloads import Downloads
 from companion.autopilot.lists.list_download import FENCE, MISSION
+from companion.autopilot.message_order import MessageOrder
 from companion.autopilot.modes.mode_and_speed import ModeAndSpeed
 from companion.autopilot.modes.yaw import Nose
 from companion.autopilot.outbox import Outbox
@@ -141,6 +143,7 @@ class AutopilotLink:
             counts=self.counts,
         )
         self._nose = Nose(yaw)
+        self._order = MessageOrder()
         self._texts = TextAssembler()
         self._component = RemoteIdComponent(identity) if remote_id_component else None
         own = frozenset({encoders.AUTOPILOT_COMPONENT, config.component_id})
@@ -244,7 +247,10 @@ class AutopilotLink:
         if isinstance(event, GlobalPosition):
             self._nose.heard(fields[8])
         if isinstance(event, _STAMPED):
+            self._order.stamped(frame.sequence, event.time_boot_s)
             self._on_boot_time(event.time_boot_s, now_s)
+        if isinstance(event, CurrentMode) and self._order.is_overtaken(frame.sequence):
+            event = msgspec.structs.replace(event, overtaken=True)
         self._events.append(event)
         if isinstance(event, CurrentMode):
             self._mode_and_speed.on_current_mode(event, now_s)
@@ -260,6 +266,8 @@ class AutopilotLink:
             self.counts.foreign += 1
             return
         event = heartbeat(frame.system_id, fields)
+        if self._order.is_overtaken(frame.sequence):
+            event = msgspec.structs.replace(event, overtaken=True)
         anew = self._heard.on_heartbeat(event, now_s)
         self._outbox.speak_as(event.system_id)
         self._polling.on_heartbeat(now_s, anew=anew)

@@ -78,6 +78,11 @@ class Frame(NamedTuple):
     """Payload as sent: MAVLink 2 cuts trailing zeros."""
     raw: bytes
 
+    @property
+    def sequence(self) -> int:
+        """Sequence number that the sender gave to the frame, 0 to 255."""
+        return self.raw[4] if self.raw[0] == MAGIC_V2 else self.raw[2]
+
 
 def checksum(body: bytes, message_id: int) -> int:
     """Checksum of a frame's bytes between the magic byte and the checksum. The message must be known, or be

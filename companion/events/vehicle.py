@@ -55,6 +55,8 @@ class Heartbeat(Event, frozen=True):
     custom_mode: int
     mode: FlightMode
     armed: bool
+    overtaken: bool = False
+    """A newer message of the vehicle arrived before this one, so its mode may have changed since."""
 
 
 class CurrentMode(Event, frozen=True):
@@ -62,6 +64,8 @@ class CurrentMode(Event, frozen=True):
 
     custom_mode: int
     """Mode number, as in the heartbeat."""
+    overtaken: bool = False
+    """As in `Heartbeat`."""
 
 
 class TwoAutopilots(Event, frozen=True):

@@ -9,7 +9,7 @@ import math
 
 from companion.autopilot.dialect import DIALECTS, flight_mode
 from companion.config import Config
-from companion.events import FlightMode, Heartbeat, Landed
+from companion.events import CurrentMode, FlightMode, Heartbeat, Landed
 from companion.gate.rules import Broken, Rule
 
 MODE_OLD_S = 3.0
@@ -61,7 +61,10 @@ class Mandate:
     # ------------------------------------------------------------ messages of the vehicle
 
     def hear_heartbeat(self, event: Heartbeat, now_s: float) -> None:
-        """Take in HEARTBEAT."""
+        """Take in HEARTBEAT. One that was overtaken can only end authority."""
+        if event.overtaken:
+            self._hear_overtaken(event.custom_mode, event.mode, now_s)
+            return
         self.heartbeat = event
         if not event.armed:
             self._seen_down = True
@@ -69,11 +72,22 @@ class Mandate:
                 self._free()
         self.hear_mode(event.custom_mode, event.mode, now_s)
 
-    def hear_current_mode(self, custom_mode: int, now_s: float) -> None:
+    def hear_current_mode(self, event: CurrentMode, now_s: float) -> None:
         """Take in CURRENT_MODE, the mode between two heartbeats. It is ignored before the first heartbeat."""
-        if self.heartbeat is not None:
-            h = self.heartbeat
-            self.hear_mode(custom_mode, flight_mode(h.firmware, h.vehicle_type, 1, custom_mode), now_s)
+        if self.heartbeat is None:
+            return
+        h, custom = self.heartbeat, event.custom_mode
+        mode = flight_mode(h.firmware, h.vehicle_type, 1, custom)
+        if event.overtaken:
+            self._hear_overtaken(custom, mode, now_s)
+        else:
+            self.hear_mode(custom, mode, now_s)
+
+    def _hear_overtaken(self, custom: int, mode: FlightMode, now_s: float) -> None:
+        """Take in a mode that the vehicle has perhaps left since. It counts only if it is the pilot's."""
+        given = mode is (FlightMode.MISSION if self._guards else FlightMode.EXTERNAL)
+        if self.engaged and not (self.lost or given or custom == self._base or custom in self._ours):
+            self.hear_mode(custom, mode, now_s)
 
     def hear_mode(self, custom: int, mode: FlightMode, now_s: float) -> None:
         """Take in one reported mode. Call this in the order in which the vehicle reported them."""

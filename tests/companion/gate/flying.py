@@ -99,7 +99,9 @@ class Flying:
 
     # ------------------------------------------------------------ what the gate is told
 
-    def beat(self, mode: FlightMode | None = None, *, armed: bool | None = None) -> None:
+    def beat(
+        self, mode: FlightMode | None = None, *, armed: bool | None = None, overtaken: bool = False
+    ) -> None:
         """HEARTBEAT."""
         self.mode = self.mode if mode is None else mode
         self.armed = self.armed if armed is None else armed
@@ -110,13 +112,14 @@ class Flying:
             custom_mode=self.custom(self.mode),
             mode=self.mode,
             armed=self.armed,
+            overtaken=overtaken,
         )
         self.gate.hear(event, self.now_s)
 
-    def current_mode(self, mode: FlightMode) -> None:
+    def current_mode(self, mode: FlightMode, *, overtaken: bool = False) -> None:
         """CURRENT_MODE."""
         self.mode = mode
-        self.gate.hear(CurrentMode(custom_mode=self.custom(mode)), self.now_s)
+        self.gate.hear(CurrentMode(custom_mode=self.custom(mode), overtaken=overtaken), self.now_s)
 
     def position(self, age_s: float = 0.0) -> None:
         """GLOBAL_POSITION_INT, measured so long ago."""

@@ -237,3 +237,29 @@ def test_a_mode_without_a_heartbeat_says_nothing():
         one.current_mode(EXTERNAL)
     assert not one.flies()
     assert one.refused() == [3]
+
+
+@pytest.mark.parametrize("report", ["beat", "current_mode"])
+def test_a_mode_that_was_overtaken_on_the_way_is_no_news(report):
+    one = flying("fly", PX4)
+    one.gate.behind()
+    one.run(beats=False)
+    getattr(one, report)(EXTERNAL, overtaken=True)
+    assert not one.flies()
+    assert one.refused() == [5]
+    getattr(one, report)(EXTERNAL)
+    assert one.flies()
+
+
+@pytest.mark.parametrize("report", ["beat", "current_mode"])
+def test_a_mode_that_was_overtaken_ends_authority_and_never_gives_it_back(report):
+    one = flying("fly", PX4, rearm="mode")
+    getattr(one, report)(STICKS, overtaken=True)
+    assert one.gate.lost
+    one.beat(STICKS)
+    getattr(one, report)(EXTERNAL, overtaken=True)
+    assert one.gate.lost
+    one.beat(EXTERNAL, armed=False, overtaken=True)
+    assert one.gate.lost
+    one.beat(EXTERNAL, armed=True)
+    assert not one.gate.lost

@@ -81,6 +81,23 @@ def test_a_pilots_mode_is_kept_whatever_comes_late(faults, link):
     assert broken(case(link=link, use="fly", faults=faults)) == []
 
 
+def test_a_heartbeat_that_positions_have_overtaken_hides_no_pilots_mode():
+    """It showed GUIDED, was sent before the pilot selected LOITER and came after newer positions."""
+    late = Fault("late", 0.405, 3.386, (0.8669081626490169,))
+    found = Case(
+        firmware=Firmware.ARDUPILOT,
+        use="fly",
+        trouble="late",
+        snapshot=23,
+        link="udp",
+        routed=True,
+        faults=(late, Fault("mode", 3.24, modes=("hold",))),
+        watch_s=4.792,
+        seed=2953737371,
+    )
+    assert broken(found) == []
+
+
 def test_a_pilots_mode_among_datagrams_out_of_order_ends_the_setpoints():
     found = Case(
         firmware=Firmware.PX4,
