@@ -104,7 +104,8 @@ class Flights(World):
         """
         state = self.onboard.core.state
         if not self.vehicle.armed:
-            self._authority = True
+            # A companion that cannot hear the vehicle on the ground takes nothing in the next flight either.
+            self._authority = self._authority or self.now_s > self.quiet_from_s
         elif self.onboard.gate.lost is not None:
             # The ground station shows "takes nothing": a mode that the pilot selects after a fault, while the
             # vehicle is still in the one that the companion asked for, ends authority as any other.
