@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 _HALF = 128
-_REBOOT_STEP_S = 1.0
+_REBOOT_STEP_S = 10.0
 
 
 class MessageOrder:
@@ -25,7 +25,7 @@ class MessageOrder:
         """Sequence number of the message with the newest time since boot."""
 
     def stamped(self, sequence: int, time_boot_s: float) -> None:
-        """Take a message with the vehicle's time since boot. Its clock goes back only when it restarts."""
+        """Take a message with the vehicle's time since boot. A clock that goes back far has restarted."""
         if time_boot_s >= self._boot_s or time_boot_s < self._boot_s - _REBOOT_STEP_S:
             self._boot_s, self._sequence = time_boot_s, sequence
 

@@ -31,6 +31,9 @@ _LONGEST_S = 1.0
 _LATE_S = 0.5
 _DRIFT = 1e-3
 _CLOCKLESS_S = 10.0
+_MIXED_S = 0.25
+"""Autopilots stamp some messages when they are measured and others when they are sent. On a link that keeps
+their order, a message is no more than this older than one that came before it."""
 
 _GROUND_MPS = 2.0
 
@@ -61,6 +64,8 @@ class Bounds:
         """Newest times of the vehicle's clock: `_boot_s` of a position, `_stamp_s` of any message."""
         self._clock_s = -math.inf
         """Time at which a message last carried the vehicle's clock."""
+        self._mixed_until_s = -math.inf
+        """Time until which old messages may still arrive among new ones."""
         self._frame: LocalFrame | None = None
         self._here = 0.0, 0.0
         self._walls: list[tuple[FenceArea, list[Edge]]] | None = None
@@ -77,6 +82,9 @@ class Bounds:
 
     def hear_clock(self, time_boot_s: float, now_s: float) -> None:
         """Take in the vehicle's own clock from any message that carries it."""
+        delay_s = now_s - time_boot_s - self._offset_s
+        if time_boot_s < self._stamp_s - _MIXED_S and self._late_s < delay_s <= _CLOCKLESS_S:
+            self._mixed_until_s = max(self._mixed_until_s, now_s + delay_s)
         if time_boot_s < self._stamp_s - 1.0:
             # The clock has restarted, and the age of the last position cannot be told by it.
             self._offset_s, self._stamp_s, self._position = math.inf, time_boot_s, None
@@ -113,10 +121,14 @@ class Bounds:
             self._areas, self._walls, self._clear_m = areas, None, -1.0
 
     def late(self, now_s: float) -> bool:
-        """Whether messages received now were delayed on the way, judged by the vehicle's own clock.
+        """Whether messages received now may have been delayed on the way, judged by the vehicle's own clock.
 
-        If no message has carried that clock for long, there is no evidence of delay and the result is False.
+        An old message that arrives after a newer one shows that the link delays some messages more than others.
+        A mode message, which carries no time, may then be just as old. If no message has carried the clock for
+        long, there is no evidence of delay and the result is False.
         """
+        if now_s < self._mixed_until_s:
+            return True
         if now_s - self._clock_s > _CLOCKLESS_S:
             return False
         return now_s - self._stamp_s - self._offset_s > self._late_s

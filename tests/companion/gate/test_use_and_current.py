@@ -251,6 +251,33 @@ def test_a_mode_that_was_overtaken_on_the_way_is_no_news(report):
     assert one.flies()
 
 
+@pytest.mark.parametrize("delay_s", [0.8, 2.5, 9.0])
+def test_after_an_old_message_among_new_ones_no_mode_counts_until_that_delay_has_passed(delay_s):
+    one = flying()
+    one.position(age_s=delay_s)
+    one.position()
+    assert not one.flies()
+    one.run(delay_s - 0.1)
+    assert not one.flies()
+    one.run(0.2)
+    assert one.flies()
+    assert set(one.gate.counts) == {"current"}
+
+
+def test_a_message_that_is_a_little_late_does_not_stop_the_flight():
+    one = flying()
+    one.position(age_s=0.45)
+    one.position()
+    assert one.flies()
+
+
+def test_a_clock_that_restarts_is_no_old_message():
+    one = flying()
+    one.position(age_s=30.0)
+    one.run()
+    assert one.flies()
+
+
 @pytest.mark.parametrize("report", ["beat", "current_mode"])
 def test_a_mode_that_was_overtaken_ends_authority_and_never_gives_it_back(report):
     one = flying("fly", PX4, rearm="mode")

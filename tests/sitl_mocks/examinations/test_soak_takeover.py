@@ -98,6 +98,23 @@ def test_a_heartbeat_that_positions_have_overtaken_hides_no_pilots_mode():
     assert broken(found) == []
 
 
+def test_a_heartbeat_that_half_the_sequence_numbers_have_overtaken_hides_no_pilots_mode():
+    """It showed GUIDED; so many messages overtook it that its sequence number looks newer than theirs."""
+    late = Fault("late", 0.397, 3.173, (2.532955712043338,))
+    found = Case(
+        firmware=Firmware.ARDUPILOT,
+        use="fly",
+        trouble="late",
+        snapshot=54,
+        link="udp",
+        routed=True,
+        faults=(late, Fault("mode", 3.016, modes=("land",))),
+        watch_s=9.57,
+        seed=1239095751,
+    )
+    assert broken(found) == []
+
+
 def test_a_pilots_mode_among_datagrams_out_of_order_ends_the_setpoints():
     found = Case(
         firmware=Firmware.PX4,
