@@ -123,9 +123,9 @@ class Bounds:
     def late(self, now_s: float) -> bool:
         """Whether messages received now may have been delayed on the way, judged by the vehicle's own clock.
 
-        An old message that arrives after a newer one shows that the link delays some messages more than others.
-        A mode message, which carries no time, may then be just as old. If no message has carried the clock for
-        long, there is no evidence of delay and the result is False.
+        An old message that arrives after a newer one shows that the link delays some messages more than
+        others. A mode message, which carries no time, may then be just as old. If no message has carried the
+        clock for long, there is no evidence of delay and the result is False.
         """
         if now_s < self._mixed_until_s:
             return True
