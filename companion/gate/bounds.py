@@ -31,9 +31,14 @@ _LONGEST_S = 1.0
 _LATE_S = 0.5
 _DRIFT = 1e-3
 _CLOCKLESS_S = 10.0
-_MIXED_S = 0.25
+_MIXED_S, _LONGEST_MIXED_S = 0.25, 10.0
 """Autopilots stamp some messages when they are measured and others when they are sent. On a link that keeps
-their order, a message is no more than this older than one that came before it."""
+their order, a message is no more than `_MIXED_S` older than one that came before it. A link that mixes old
+and new messages is not relied on for the delay of the old one, but for no longer than `_LONGEST_MIXED_S`:
+a vehicle's clock that has restarted looks like a long delay."""
+_RESTART_S = 1.0
+"""A clock that has restarted goes back by more than this, after a longer silence or by more than
+`_LONGEST_MIXED_S`."""
 
 _GROUND_MPS = 2.0
 
@@ -83,11 +88,13 @@ class Bounds:
     def hear_clock(self, time_boot_s: float, now_s: float) -> None:
         """Take in the vehicle's own clock from any message that carries it."""
         delay_s = now_s - time_boot_s - self._offset_s
-        if time_boot_s < self._stamp_s - _MIXED_S and self._late_s < delay_s <= _CLOCKLESS_S:
-            self._mixed_until_s = max(self._mixed_until_s, now_s + delay_s)
-        if time_boot_s < self._stamp_s - 1.0:
+        if time_boot_s < self._stamp_s - _MIXED_S and delay_s > self._late_s:
+            self._mixed_until_s = max(self._mixed_until_s, now_s + min(delay_s, _LONGEST_MIXED_S))
+        silent = now_s - self._clock_s > _RESTART_S
+        if time_boot_s < self._stamp_s - _RESTART_S and (silent or delay_s > _LONGEST_MIXED_S):
             # The clock has restarted, and the age of the last position cannot be told by it.
-            self._offset_s, self._stamp_s, self._position = math.inf, time_boot_s, None
+            self._offset_s, self._stamp_s, self._boot_s = math.inf, time_boot_s, -math.inf
+            self._position = None
         passed_s = max(time_boot_s - self._stamp_s, 0.0)
         self._offset_s = min(now_s - time_boot_s, self._offset_s + _DRIFT * passed_s)
         self._stamp_s, self._clock_s = max(time_boot_s, self._stamp_s), now_s
@@ -95,7 +102,7 @@ class Bounds:
     def hear_position(self, event: GlobalPosition, now_s: float) -> None:
         """Take in GLOBAL_POSITION_INT, dated by the vehicle's own clock."""
         self.hear_clock(event.time_boot_s, now_s)
-        if self._boot_s - 1.0 <= event.time_boot_s < self._boot_s:
+        if event.time_boot_s < self._boot_s:
             return  # A newer position has overtaken this one.
         self._boot_s = event.time_boot_s
         if self._frame is None:
@@ -123,15 +130,20 @@ class Bounds:
     def late(self, now_s: float) -> bool:
         """Whether messages received now may have been delayed on the way, judged by the vehicle's own clock.
 
-        An old message that arrives after a newer one shows that the link delays some messages more than
-        others. A mode message, which carries no time, may then be just as old. If no message has carried the
-        clock for long, there is no evidence of delay and the result is False.
+        If no message has carried that clock for long, there is no evidence of delay and the result is False.
         """
-        if now_s < self._mixed_until_s:
+        if self.mixed(now_s):
             return True
         if now_s - self._clock_s > _CLOCKLESS_S:
             return False
         return now_s - self._stamp_s - self._offset_s > self._late_s
+
+    def mixed(self, now_s: float) -> bool:
+        """Whether the link has lately delivered an old message after a newer one.
+
+        A mode message, which carries no time, may then be just as old.
+        """
+        return now_s < self._mixed_until_s
 
     @property
     def flies_fast(self) -> bool:

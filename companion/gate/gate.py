@@ -153,12 +153,10 @@ class Gate:
             case LocalPosition() | VehicleTime():
                 self._bounds.hear_clock(event.time_boot_s, now_s)
                 self._fresh = self._fresh and not self._bounds.late(now_s)
-            case Heartbeat():
-                self._fresh = self._fresh or (self._is_news(now_s) and not event.overtaken)
-                self._mandate.hear_heartbeat(event, now_s)
-            case CurrentMode():
-                self._fresh = self._fresh or (self._is_news(now_s) and not event.overtaken)
-                self._mandate.hear_current_mode(event, now_s)
+            case Heartbeat() | CurrentMode():
+                overtaken = event.overtaken or self._bounds.mixed(now_s)
+                self._fresh = self._fresh or (self._is_news(now_s) and not overtaken)
+                self._mandate.hear_mode_message(event, now_s, overtaken=overtaken)
             case LandedState():
                 landed = event.landed if not self._bounds.flies_fast else Landed.IN_AIR
                 self._mandate.hear_landed(landed, now_s)

@@ -60,34 +60,31 @@ class Mandate:
 
     # ------------------------------------------------------------ messages of the vehicle
 
-    def hear_heartbeat(self, event: Heartbeat, now_s: float) -> None:
-        """Take in HEARTBEAT. One that was overtaken can only end authority."""
-        if event.overtaken:
-            self._hear_overtaken(event.custom_mode, event.mode, now_s)
-            return
-        self.heartbeat = event
-        if not event.armed:
-            self._seen_down = True
-            if self._flight.rearm != "never" or not self.lost:
-                self._free()
-        self.hear_mode(event.custom_mode, event.mode, now_s)
+    def hear_mode_message(self, event: Heartbeat | CurrentMode, now_s: float, *, overtaken: bool) -> None:
+        """Take in HEARTBEAT, or CURRENT_MODE, the mode between two heartbeats.
 
-    def hear_current_mode(self, event: CurrentMode, now_s: float) -> None:
-        """Take in CURRENT_MODE, the mode between two heartbeats. It is ignored before the first heartbeat."""
-        if self.heartbeat is None:
+        Args:
+            overtaken: newer messages may have arrived before this one. Then it can only end authority.
+        """
+        if isinstance(event, Heartbeat):
+            mode = event.mode
+            if not overtaken:
+                self.heartbeat = event
+                if not event.armed:
+                    self._seen_down = True
+                    if self._flight.rearm != "never" or not self.lost:
+                        self._free()
+        elif (h := self.heartbeat) is None:
             return
-        h, custom = self.heartbeat, event.custom_mode
-        mode = flight_mode(h.firmware, h.vehicle_type, 1, custom)
-        if event.overtaken:
-            self._hear_overtaken(custom, mode, now_s)
         else:
-            self.hear_mode(custom, mode, now_s)
+            mode = flight_mode(h.firmware, h.vehicle_type, 1, event.custom_mode)
+        if not overtaken or self._is_pilots(event.custom_mode, mode):
+            self.hear_mode(event.custom_mode, mode, now_s)
 
-    def _hear_overtaken(self, custom: int, mode: FlightMode, now_s: float) -> None:
-        """Take in a mode that the vehicle has perhaps left since. It counts only if it is the pilot's."""
+    def _is_pilots(self, custom: int, mode: FlightMode) -> bool:
+        """Whether a mode that the vehicle may have left since shows that the pilot has taken over."""
         given = mode is (FlightMode.MISSION if self._guards else FlightMode.EXTERNAL)
-        if self.engaged and not (self.lost or given or custom == self._base or custom in self._ours):
-            self.hear_mode(custom, mode, now_s)
+        return self.engaged and not (self.lost or given or custom == self._base or custom in self._ours)
 
     def hear_mode(self, custom: int, mode: FlightMode, now_s: float) -> None:
         """Take in one reported mode. Call this in the order in which the vehicle reported them."""

@@ -89,6 +89,8 @@ class Flying:
         self.gate = Gate(self.config)
         self.encoder = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
         self.now_s = 100.0
+        self.boot_s = 0.0
+        """Time at which the vehicle's clock was 0."""
         self.system_id = 1
         self.mode, self.armed, self.landed = HOLD, False, Landed.ON_GROUND
         self.place, self.velocity = (0.0, 0.0, -50.0), (0.0, 0.0, 0.0)
@@ -125,7 +127,7 @@ class Flying:
         """GLOBAL_POSITION_INT, measured so long ago."""
         lat_deg, lon_deg, alt_m = _geodetic(self.place)
         event = GlobalPosition(
-            time_boot_s=self.now_s - 60.0 - age_s,
+            time_boot_s=self.now_s - self.boot_s - age_s,
             lat_deg=lat_deg,
             lon_deg=lon_deg,
             alt_msl_m=alt_m,

@@ -13,6 +13,8 @@ from tests.companion.gate.hostile.weakened import (
     CountsRepeatedAnswers,
     HearsNoSilence,
     IgnoresBacklogs,
+    ReliesOnMixedLinks,
+    TakesOvertakenModes,
     Weakened,
 )
 
@@ -44,9 +46,13 @@ def test_a_gate_that_lacks_a_rule_is_found(rule):
     assert rule.value.name in found
 
 
-def test_a_gate_that_hears_no_silence_is_found():
-    block = hostile.run_block(1, 0, 400, 100, HearsNoSilence)
-    assert "current" in {name for _, name, _ in block.broken}
+@pytest.mark.parametrize(
+    ("weak", "rule"),
+    [(HearsNoSilence, "current"), (ReliesOnMixedLinks, "current"), (TakesOvertakenModes, "authority")],
+)
+def test_a_gate_that_trusts_what_it_hears_too_much_is_found(weak, rule):
+    block = hostile.run_block(1, 0, 400, 100, weak)
+    assert rule in {name for _, name, _ in block.broken}
 
 
 def test_no_rule_is_broken_through_a_whole_companion():
@@ -58,7 +64,7 @@ def test_no_rule_is_broken_through_a_whole_companion():
     assert set(block.refused) == {rule.value.name for rule in Rule}
 
 
-@pytest.mark.parametrize(("weak", "number"), [(CountsRepeatedAnswers, 244), (IgnoresBacklogs, 270)])
+@pytest.mark.parametrize(("weak", "number"), [(CountsRepeatedAnswers, 597), (IgnoresBacklogs, 292)])
 def test_a_companion_that_tells_its_gate_something_wrong_is_found(weak, number):
     def found(gate):
         return {name for _, name, _ in hostile.run_block(1, number, 1, 100, gate, SystemHistory).broken}

@@ -235,7 +235,7 @@ def happen(event: Event, mandate: Mandate, history: History, firmware: Firmware,
         return now_s + PAUSE_S
     if what == "told":
         assert mode is not None
-        mandate.hear_heartbeat(beat_of(firmware, mode, armed), now_s)
+        mandate.hear_mode_message(beat_of(firmware, mode, armed), now_s, overtaken=False)
         history.tell(mode, armed)
         return now_s
     try:

@@ -271,11 +271,28 @@ def test_a_message_that_is_a_little_late_does_not_stop_the_flight():
     assert one.flies()
 
 
-def test_a_clock_that_restarts_is_no_old_message():
+def test_a_clock_that_has_restarted_stops_the_flight_for_ten_seconds():
+    """It cannot be told from a message that was delayed for as long."""
     one = flying()
-    one.position(age_s=30.0)
-    one.run()
+    one.boot_s += 90.0
+    one.run(9.9)
+    assert not one.flies()
+    one.run(0.2)
     assert one.flies()
+
+
+@pytest.mark.parametrize("report", ["beat", "current_mode"])
+def test_among_old_messages_a_mode_ends_authority_and_never_gives_it_back(report):
+    one = flying("fly", PX4, rearm="mode")
+    one.position(age_s=2.0)
+    getattr(one, report)(STICKS)
+    assert one.gate.lost
+    one.beat(EXTERNAL, armed=False)
+    assert one.gate.lost
+    one.run(2.1)
+    getattr(one, report)(STICKS)
+    getattr(one, report)(EXTERNAL)
+    assert not one.gate.lost
 
 
 @pytest.mark.parametrize("report", ["beat", "current_mode"])

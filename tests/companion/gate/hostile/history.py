@@ -12,8 +12,10 @@ from collections.abc import Callable
 from random import Random
 from typing import Protocol
 
+import msgspec
+
 from companion.config import Config
-from companion.events import Event, Firmware
+from companion.events import CurrentMode, Event, Firmware, Heartbeat
 from companion.gate.gate import Gate
 from tests.companion.gate.hostile.oracle import ASKED, Oracle
 from tests.companion.gate.hostile.program import COMMAND, SETPOINT, HostileProgram
@@ -58,6 +60,12 @@ class History(HostileProgram):
 
     def _hear(self, event: Event) -> None:
         self.gate.hear(event, self.now_s)
+
+    def _hear_old(self, event: Heartbeat | CurrentMode) -> None:
+        """The link marks it, but not always when the gate itself knows that old messages arrive."""
+        if self.now_s >= self.oracle.mixed_until_s or self.rng.random() < 0.5:
+            event = msgspec.structs.replace(event, overtaken=True)
+        self._hear(event)
 
     def _emptied(self) -> None:
         self.gate.emptied(self.now_s)

@@ -97,6 +97,8 @@ class Oracle:
         """When the newest message with the vehicle's clock was written. `clock_s`: when one last arrived."""
         self.least_s = math.inf
         """Least delay of such a message."""
+        self.mixed_until_s = -math.inf
+        """Until when an old message that came after a newer one forbids commands."""
         self.shut_s = -math.inf
         self.last: tuple[float, float, float] | None = None  # time, north, east
         self.changes: list[tuple[float, float]] = []
@@ -130,6 +132,16 @@ class Oracle:
             self.turn += 1
             self.gap_ended = self.turn
         self.said_s = now_s
+
+    def old_mode(self, custom: int, now_s: float) -> None:
+        """The vehicle has shown a mode, and newer messages have overtaken it."""
+        self._said(now_s)
+        ours = custom in self.asked or custom in self.entered or custom == self.taken_from
+        gives = self.kinds.get(custom) == ("mission" if self.terms.use == "guard" else "external")
+        if self.engaged and not (self.gone or ours or gives):
+            news = self.mode_turn
+            self._mode(custom, now_s)
+            self.mode_turn = news
 
     def current_mode(self, custom: int, now_s: float) -> None:
         self._said(now_s)
@@ -204,7 +216,13 @@ class Oracle:
         self._stamped(measured_s, boot_s, now_s)
 
     def _stamped(self, measured_s: float, boot_s: float, now_s: float) -> None:
-        if boot_s < self.boot_s - 1.0:
+        if self.written_s is not None and abs(boot_s - measured_s - self.boot_s + self.written_s) < 0.01:
+            if measured_s < self.written_s:
+                self.clock_s = now_s
+                if measured_s < self.written_s - 0.27:
+                    self._overtaken(now_s - measured_s - self.least_s, now_s)
+                return
+        elif boot_s < self.boot_s - 1.0:
             self.least_s, self.boot_s, self.position = math.inf, -math.inf, None
         elif self.written_s is not None and boot_s - measured_s > self.boot_s - self.written_s + 0.5:
             self.least_s = math.inf  # The clock has jumped ahead.
@@ -215,6 +233,13 @@ class Oracle:
         if self.late(now_s):
             self.turn += 1
             self.gap_ended = self.turn
+
+    def _overtaken(self, delay_s: float, now_s: float) -> None:
+        """A message with the vehicle's clock came after newer ones."""
+        if delay_s > max(0.5, 0.5 * self.terms.stale_s) + 0.02:
+            self.turn += 1
+            self.gap_ended = self.turn
+            self.mixed_until_s = max(self.mixed_until_s, now_s + min(delay_s, 10.0) - 0.02)
 
     def parameters(self, speed: float, climb: float, descent: float, acceleration: float) -> None:
         self.terms = replace(
@@ -235,6 +260,8 @@ class Oracle:
 
     def late(self, now_s: float) -> bool:
         """Whether messages that arrive now have waited on the way, by the vehicle's clock."""
+        if now_s < self.mixed_until_s:
+            return True
         longest_s = max(0.5, 0.5 * self.terms.stale_s) + 0.02
         if self.written_s is None or now_s - self.clock_s > 9.9:
             return False
@@ -319,6 +346,8 @@ class Oracle:
             self._broken("current", f"emptied at {self.emptied_s}, {self.mode_turn} <= {self.gap_ended}")
         if now_s - self.said_s > 0.5:
             self._broken("current", f"silent for {now_s - self.said_s} s")
+        if now_s < self.mixed_until_s:
+            self._broken("current", f"old messages among new ones until {self.mixed_until_s} s")
         if now_s - self.mode_s > 3.0:
             self._broken("current", f"mode {now_s - self.mode_s} s old")
         on_ground = self.grounded_s is not None and now_s - self.grounded_s >= 12.0

@@ -10,6 +10,7 @@ handed over as events.
 from __future__ import annotations
 
 import struct
+from collections import deque
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -88,6 +89,9 @@ class _HostileLink:
 class SystemHistory(History):
     """See the module."""
 
+    longest_alone_s = 0.5
+    """In this time the vehicle sends fewer than 128 messages, so that sequence numbers show their order."""
+
     def __init__(
         self, seed: int, number: int, commands: int, make: Callable[[Config], AnyGate] = Gate
     ) -> None:
@@ -100,6 +104,8 @@ class SystemHistory(History):
         self._companion.link = cast("AutopilotLink", self._link)
         self._writer = MavlinkWriter(self.system, 1)
         self._reader = FrameScanner()
+        self._sequences: deque[tuple[float, int]] = deque(maxlen=2000)
+        """Time and sequence number of each frame, in order."""
         self._questions: list[int] = []
         """Unanswered questions, as their TIMESYNC time (ns), the newest last."""
         self._link.asks_first = self.rng.random() < 0.5
@@ -112,9 +118,26 @@ class SystemHistory(History):
         else:
             self._receive(*packed)
 
+    def _hear_old(self, event: Heartbeat | CurrentMode) -> None:
+        self._hear(event)
+
     def _receive(self, message_id: int, payload: bytes) -> None:
-        frame = self._writer.pack_payload(message_id, payload)
+        sequence = self._writer.encoder.seq
+        if self.delayed_s > 0.0:
+            self._writer.encoder.seq = self._sequence_at(self.now_s - self.delayed_s)
+            frame = self._writer.pack_payload(message_id, payload)
+            self._writer.encoder.seq = sequence
+        else:
+            self._sequences.append((self.now_s, sequence))
+            frame = self._writer.pack_payload(message_id, payload)
         self._companion.receive(frame, self.now_s, emptied=False)
+
+    def _sequence_at(self, written_s: float) -> int:
+        """Sequence number of a frame that the vehicle wrote before the first one after `written_s`."""
+        for at_s, sequence in self._sequences:
+            if at_s > written_s:
+                return (sequence - 1) % 256
+        raise AssertionError("no newer frame was sent")
 
     def _emptied(self) -> None:
         self._companion.receive(b"", self.now_s, emptied=True)

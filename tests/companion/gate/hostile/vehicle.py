@@ -60,6 +60,9 @@ MODES = {
 class RandomVehicle:
     """One configuration and one vehicle, drawn at random. Subclasses define what listens to it."""
 
+    longest_alone_s = math.inf
+    """A mode that was delayed for longer comes only after a message that shows the delay by its time."""
+
     def __init__(self, rng: Random) -> None:
         self.rng = rng
         self.true = rng.random() < 0.5
@@ -83,6 +86,8 @@ class RandomVehicle:
         self.crossed = False
         self.nearest = math.inf
         """Least room to a wall, the floor or the ceiling (m)."""
+        self.delayed_s = 0.0
+        """How long the message that is being reported was delayed, while newer ones were not."""
         self.longest_s = 0.0
         """Greatest age of the own position at which a setpoint was sent."""
 
@@ -90,6 +95,10 @@ class RandomVehicle:
 
     def _hear(self, event: Event) -> None:
         """Report one event of the vehicle to what is tested."""
+        raise NotImplementedError
+
+    def _hear_old(self, event: Heartbeat | CurrentMode) -> None:
+        """Report a mode that newer messages, which have arrived, have overtaken by `delayed_s`."""
         raise NotImplementedError
 
     def _emptied(self) -> None:
@@ -157,17 +166,18 @@ class RandomVehicle:
 
     # ------------------------------------------------------------ messages of the vehicle
 
-    def _beat(self) -> None:
-        mode = MODES[self.firmware][self.custom]
-        event = Heartbeat(
+    def _heartbeat(self, custom: int, *, armed: bool) -> Heartbeat:
+        return Heartbeat(
             system_id=self.system,
             firmware=self.firmware,
             vehicle_type=2,
-            custom_mode=self.custom,
-            mode=mode,
-            armed=self.armed,
+            custom_mode=custom,
+            mode=MODES[self.firmware][custom],
+            armed=armed,
         )
-        self._hear(event)
+
+    def _beat(self) -> None:
+        self._hear(self._heartbeat(self.custom, armed=self.armed))
         self.oracle.heartbeat(self.system, self.custom, self.armed, self.now_s)
 
     def _current_mode(self) -> None:
@@ -227,7 +237,9 @@ class RandomVehicle:
     def _rare(self) -> None:
         """One of the rare events."""
         rng = self.rng
-        match rng.randrange(11):
+        match rng.randrange(16):
+            case 11 | 12 | 13 | 14 | 15:
+                self._old_messages(rng.choice((rng.uniform(0.3, 0.7), rng.uniform(0.3, 9.5))))
             case 10:
                 self._silence(rng.choice((2, 3, 4, 8)))
             case 0:
@@ -272,6 +284,27 @@ class RandomVehicle:
             self._beat()
             report = self.rng.choice((self._position, self._clock))
             report(min(seconds, self.rng.uniform(0.0, seconds)))
+
+    def _old_messages(self, delay_s: float) -> None:
+        """A message with the vehicle's clock, a mode or both arrive after newer messages."""
+        written_s = self.oracle.written_s
+        if written_s is None or written_s <= self.now_s - delay_s or self.now_s - self.oracle.clock_s > 0.9:
+            return
+        if self.rng.random() < 0.5:  # The gate needs a mode before it permits a command again.
+            self._behind()
+            self._emptied()
+        self.delayed_s = delay_s
+        alone = delay_s <= self.longest_alone_s and self.rng.random() < 0.5
+        if not alone:
+            self.rng.choice((self._position, self._clock))(delay_s)
+        if alone or self.rng.random() < 0.7:
+            custom = self.rng.choice(self.custom_modes)
+            if self.rng.random() < 0.7:
+                self._hear_old(self._heartbeat(custom, armed=self.rng.random() < 0.5))
+            else:
+                self._hear_old(CurrentMode(custom_mode=custom))
+            self.oracle.old_mode(custom, self.now_s)
+        self.delayed_s = 0.0
 
     def _silence(self, steps: int) -> None:
         """The vehicle is silent while the input is read, then perhaps sends something without a mode."""

@@ -4,6 +4,7 @@ untrue, or what it refuses passes all the same. The oracle must find every one o
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 
@@ -157,6 +158,23 @@ class BelievesOldModes(Weakened):
         if self.beat is not None:
             self.gate.hear(self.beat, now_s)
         return self.gate.release(data, now_s)
+
+
+class TakesOvertakenModes(Weakened):
+    """It takes a mode that newer messages have overtaken for the present one."""
+
+    def hear(self, event: Event, now_s: float) -> None:
+        if isinstance(event, Heartbeat | CurrentMode):
+            event = msgspec.structs.replace(event, overtaken=False)
+        self.gate.hear(event, now_s)
+
+
+class ReliesOnMixedLinks(Weakened):
+    """It does not remember that the link delivered an old message after a newer one."""
+
+    def hear(self, event: Event, now_s: float) -> None:
+        self.gate.hear(event, now_s)
+        self.gate._bounds._mixed_until_s = -math.inf
 
 
 class HearsNoSilence(Weakened):
