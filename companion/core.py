@@ -195,7 +195,7 @@ class Companion:
         later = (
             ""
             if self.plan.course.law is None or event.enable != self._settings.enable
-            else "; from the next path on"
+            else "; applies from the next path"
         )
         told = differences(self._configured, self._settings, event)
         self._settings, self._wanted = event, applied(self._configured, event)
@@ -240,7 +240,9 @@ class Companion:
             commands += self.plan.prepare(own, now_s)
             if self.plan.ready and not self.plan.near(own, now_s) and not self.plan.remake(own):
                 limit = self.config.flight.start_within_m
-                commands += self.plan.terms.refuse(f"vehicle is not within {limit:g} m of the path's point")
+                commands += self.plan.terms.refuse(
+                    f"vehicle is more than {limit:g} m from its place on the path"
+                )
         if self.plan.course.law is not None:
             self.plan.course.law.note_velocity(now_s, own.velocity_ned_mps)
 

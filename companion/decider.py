@@ -108,7 +108,7 @@ class Decider:
         if late_s - self._told_late_s < _LATE_STEP_S:
             return []
         self._told_late_s = late_s
-        bounds = f"; bounded by {', '.join(result.limits)}" if result.limits else ""
+        bounds = f"; limited by {', '.join(result.limits)}" if result.limits else ""
         return [Say(severity=Severity.NOTICE, text=f"DMUCA: path {late_s:.0f} s late{bounds}")]
 
     def _log(self, now_s: float, result: LawResult, state: State) -> list[Command]:

@@ -251,7 +251,7 @@ class Ownship:
             self.position = None
             self._velocity_boot_s, self.boot_to_utc_s = -math.inf, None
             self._landed_s = -math.inf
-            self._trouble("the autopilot's clock began anew", now_s)
+            self._trouble("the autopilot's clock restarted", now_s)
 
     def _trouble(self, what: str, now_s: float) -> None:
         self._upset, self._upset_s = what, now_s
@@ -274,7 +274,7 @@ class Ownship:
             if math.dist(sample, self._sample_ned_m) > _JUMP_M + speed * elapsed:
                 self._trouble("own position jumped", now_s)
         if math.hypot(*sample) > _FARTHEST_M:
-            self._trouble("own position is nowhere near where it was first", now_s)
+            self._trouble("own position is implausibly far from the first one", now_s)
         self.position, self._sample_ned_m, self._position_heard_s = event, sample, now_s
         self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
         if self.landed(now_s) is Landed.ON_GROUND:
@@ -348,7 +348,7 @@ class Ownship:
         if self.gnss.fix_type < 3:
             return f"GNSS without a 3D fix (fix type {self.gnss.fix_type})"
         if now_s - self._estimator_lost_s <= _ESTIMATOR_LOST_S:
-            return "the autopilot's estimator does not know where it is"
+            return "the autopilot's estimator has no position"
         if now_s - self._upset_s < _UNTRUSTED_S:
             return self._upset
         return None

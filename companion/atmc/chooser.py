@@ -95,7 +95,7 @@ class Chooser:
                 self._allowed = legal(actions, self._region) & able(actions, self._can_send)
             lost = transports_of(self._action or (0, 0, 0)) - set(self._can_send)
             if self._mind is None:
-                return self._fall_back(Trouble.NO_POLICY, self.trouble or "no policy")
+                return self._fall_back(Trouble.NO_POLICY, self.trouble or "no policy is loaded")
             if lost:
                 words = f"the radio can no longer send on {', '.join(sorted(lost))}"
                 return self._fall_back(Trouble.RADIO_LOST, words)
@@ -119,7 +119,7 @@ class Chooser:
     ) -> tuple[dict[str, int] | None, list[Command]]:
         age_s = own.age_s(now_s)
         if not age_s <= OLDEST_POSITION_S:
-            return self._fall_back(Trouble.NO_POSITION, "the own position is old")
+            return self._fall_back(Trouble.NO_POSITION, "own position is too old")
         seen = self._senses.look(now_s, own, traffic, present)
         ble4, ble5, wifi = (present.get(transport, 0) for transport in TRANSPORTS)
         answer = mind.choose(seen.own, seen.rows, self._allowed, self._numbers.get((ble4, ble5, wifi)))
@@ -153,8 +153,8 @@ class Chooser:
             self._told.add(why)
             chosen = " + ".join(f"{transport} {rate}/s" for transport, rate in rates)
             if self._action is None:
-                chosen += " as configured, as far as law and radio allow"
-            text = f"DMUCA transports not by {self.by}: {words}; now {chosen}"
+                chosen += " (configured rates, as far as region and radio allow)"
+            text = f"DMUCA: fallback transports, {words}; now {chosen}"
             commands.append(Say(severity=Severity.WARNING, text=text))
         return commands
 

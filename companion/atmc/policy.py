@@ -161,7 +161,9 @@ def load(data: bytes, name: str, *, max_bytes: int = MAX_BYTES) -> Policy:
         q, wanted = policy.values(np.array(case.own), rows, case.agent), np.array(case.q)
         # Negated, so that NaN counts as wrong.
         if not (np.abs(q - wanted) <= GOLDEN_TOLERANCE * np.maximum(1.0, np.abs(wanted))).all():
-            raise PolicyError(f"{name}: golden[{number}]: gives other values here than where it was frozen")
+            raise PolicyError(
+                f"{name}: golden[{number}]: its outputs differ from those recorded when the policy was frozen"
+            )
     return policy
 
 
@@ -190,6 +192,7 @@ def check_flyable(policy: Policy) -> None:
     agents = policy.metadata.agents
     if agents > 1:
         raise PolicyError(
-            f"{policy.name}: holds {agents} networks, one for each aircraft of its training: nobody knows "
-            "which one this aircraft is. It is for comparison on the ground; fly one with agents = 1"
+            f"{policy.name}: holds {agents} networks, one for each aircraft of its training, and none "
+            "of them belongs to this aircraft. It is for comparison on the ground; "
+            "to fly, use one with agents = 1"
         )

@@ -127,7 +127,7 @@ def _tensor(key: str, view: dict[str, Any], name: str) -> Float32s:
     except (ValueError, OverflowError) as error:  # too many dimensions, or 2^62 next to 0
         raise PolicyError(f"{name}: tensor {key:.{_WORDS}}: shape: {error}") from error
     if not np.isfinite(tensor).all():
-        raise PolicyError(f"{name}: tensor {key:.{_WORDS}}: not finite everywhere")
+        raise PolicyError(f"{name}: tensor {key:.{_WORDS}}: holds values that are not finite")
     return tensor
 
 
@@ -170,17 +170,17 @@ def _check(m: Metadata, name: str) -> None:
         ),
         ("own", m.own_columns, OWN_COLUMNS, m.bounds.own_low, m.bounds.own_high),
     ):
-        need(len(set(columns)) == len(columns), f"{key}_columns: one stands there twice")
+        need(len(set(columns)) == len(columns), f"{key}_columns: a name is listed twice")
         need(set(columns) <= set(known), f"{key}_columns: {columns!s:.{_WORDS}}: allowed: {', '.join(known)}")
         fits = len(columns) == len(low) == len(high)
         need(fits and all(a <= b for a, b in zip(low, high, strict=False)), f"bounds: {key}_low, {key}_high")
-    need(all(map(any, m.actions)), "actions: one uses no transport")
-    need(len(set(m.actions)) == len(m.actions), "actions: one stands there twice")
-    need(m.kind == "flat" or m.agents == 1, 'agents: a "set" network is shared by all: 1')
+    need(all(map(any, m.actions)), "actions: an action uses no transport")
+    need(len(set(m.actions)) == len(m.actions), "actions: an action is listed twice")
+    need(m.kind == "flat" or m.agents == 1, 'agents: all aircraft share a "set" network; allowed: 1')
     for number, case in enumerate(m.golden):
         fits = len(case.own) == len(OWN_COLUMNS) and len(case.q) == len(m.actions) and case.agent < m.agents
         fits = fits and all(len(row) == len(NEIGHBOUR_COLUMNS) for row in case.rows)
-        need(fits and len(case.rows) <= m.neighbours, f"golden[{number}]: its sizes do not fit the policy")
+        need(fits and len(case.rows) <= m.neighbours, f"golden[{number}]: its sizes do not match the policy")
 
 
 def _checksum(metadata: Metadata, tensors: Tensors) -> str:

@@ -160,13 +160,13 @@ class Control:
     def _unfit(self, now_s: float, gap_s: float) -> str | None:
         """Reason, in words, why nothing may be commanded; None if there is none."""
         if gap_s > _HUNG_S:
-            return f"the loop is late: nothing commanded for {_HUNG_S:g} s"
+            return f"the control loop is late: no command sent for {_HUNG_S:g} s"
         if self._refused.fault is not None:
             return self._refused.fault
         unfit = self._own.unfit(now_s, self._config.vehicle.stale_after_s)
         if unfit is None and self.state in HOLDING and now_s - self._commanded_s > _HUNG_S:
-            why = "the loop is late, or the vehicle's mode is not known"
-            return f"nothing commanded for {_HUNG_S:g} s: {why}"
+            why = "the control loop is late, or the vehicle's mode is not known"
+            return f"no command sent for {_HUNG_S:g} s: {why}"
         return unfit
 
     def _judge(

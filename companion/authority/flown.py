@@ -22,9 +22,7 @@ from companion.errors import ConfigError
 from companion.events import Command, FlightMode, MissionDownloaded, MissionItem
 from companion.ownship import Ownship
 
-_CHANGED = (
-    "the mission was changed while the pilot flew: it is flown from AUTO or MISSION, or after a landing"
-)
+_CHANGED = "the mission was changed while the pilot flew; select AUTO or MISSION to fly it, or land first"
 
 
 class FlownPlan:
@@ -161,14 +159,14 @@ class FlownPlan:
         above_msl = datum[path.altitude]
         if above_msl is None:
             return self.terms.refuse(
-                "its altitudes are geodetic and the GNSS gives no height above the ellipsoid"
+                "its altitudes are geodetic, but the GNSS reports no height above the ellipsoid"
             )
         trajectory = local_path(path, own.frame, above_msl)
         check_speeds(trajectory, limits, vehicle=self.terms.vehicle)
         start_s = None
         if flight.start == "utc" and flight.start_utc_s is not None:
             if own.utc_offset_s is None:
-                return self.terms.refuse("it starts at a UTC and the vehicle does not know UTC yet")
+                return self.terms.refuse("it starts at a UTC time, but the vehicle does not know UTC yet")
             start_s = flight.start_utc_s - own.utc_offset_s
         walls = walls_of(self.downloads.areas(), own.frame, trajectory, own.sigma_m)
         self._flown = self.downloads.items

@@ -232,9 +232,9 @@ class GuardPlan:
         ArduPilot would restart a complete mission, and with MIS_RESTART = 1 any mission, from its beginning.
         """
         if self.ended:
-            return "the mission had come to its end"
+            return "the mission was already complete"
         if self.changed:
-            return "the mission was changed meanwhile"
+            return "the mission was changed in the meantime"
         return None if self.terms.vehicle is None else restarting(self.terms.vehicle)
 
     def mission_speed_mps(self, own: Ownship) -> float | None:

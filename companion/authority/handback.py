@@ -58,7 +58,7 @@ class HandBack:
         self._patience_s = longer_s if again else 0.0
         if not self._patience_s:
             return []
-        text = f"DMUCA: taken again: given back after {self._patience_s:g} s without a conflict"
+        text = f"DMUCA: vehicle taken again; next handback after {self._patience_s:g} s without conflict"
         return [Say(severity=Severity.NOTICE, text=text)]
 
     def note_way(self, now_s: float) -> None:
@@ -155,7 +155,8 @@ class HandBack:
         if not self._forgets_speed or not self._guard.speed_is_open(self._own):
             return []
         text = (
-            "DMUCA: the mission jumps, which of its speeds holds is not known: flown on at the vehicle's own"
+            "DMUCA: the mission jumps, so its present speed is unknown; "
+            "resumed at the vehicle's default speed"
         )
         return [Say(severity=Severity.WARNING, text=text)]
 
@@ -176,8 +177,8 @@ class HandBack:
     def how(self, now_s: float) -> str:
         """Report, in words, that the mission was resumed: after how long and how far off its path."""
         return (
-            f"the vehicle flies its mission on at item {self._own.mission_seq}, taken for "
-            f"{now_s - self._taken_s:.0f} s, {self._off_m:.0f} m off its way at most"
+            f"mission resumed at item {self._own.mission_seq} after {now_s - self._taken_s:.0f} s "
+            f"under companion control, at most {self._off_m:.0f} m off its path"
         )
 
     @property
@@ -187,4 +188,4 @@ class HandBack:
         why = self._guard.why_not or f"the vehicle's mission could not be read for {_UNREAD_S:g} s"
         dialect = DIALECTS[self._own.heartbeat.firmware]
         mode = dialect.name(dialect.command(FlightMode.MISSION).custom_mode)
-        return f"{why}: it is not resumed, the vehicle is to hold. To fly it select {mode}"
+        return f"mission not resumed, vehicle asked to hold: {why}. Select {mode} to fly the mission"

@@ -61,7 +61,7 @@ class Readiness:
         self.lost = event.lost
         if event.lost is None or state not in (State.STANDBY, State.WATCHING):
             return []
-        return [Say(severity=Severity.WARNING, text=f"DMUCA: takes nothing: {event.lost}")]
+        return [Say(severity=Severity.WARNING, text=f"DMUCA: cannot take control: {event.lost}")]
 
     def look(self, now_s: float, shown: Sequence[Heartbeat]) -> None:
         """Note whether the vehicle has been heard, and whether it has been on the ground or disarmed.
@@ -101,7 +101,7 @@ class Readiness:
         if self.unclear is not None:
             return self.unclear
         if self.lost is not None:
-            return f"authority was lost: {self.lost}"
+            return f"authority lost: {self.lost}"
         if config.flight.use == "watch":
             return 'flight.use is "watch"'
         if not self.enabled:
@@ -111,13 +111,14 @@ class Readiness:
         if config.vehicle.system_id == 0 and (self._found_s is None or now_s - self._found_s < _LISTEN_S):
             return "listening for other autopilots on the link (vehicle.system_id is not set)"
         if not self._seen_down:
-            return "vehicle was flying at the start and must land first (flight.take_in_flight)"
+            return "vehicle was flying when the companion started and must land first (flight.take_in_flight)"
         if own.landed(now_s) is not Landed.IN_AIR:
             return f"vehicle is not in the air (landed state: {own.landed(now_s).value})"
         if not self.mode_is_ours_to_end(own.heartbeat, ours):
             dialect = DIALECTS[own.heartbeat.firmware]
             modes = dialect.guard_in_name if self._guards else dialect.take_from_names
-            return f"vehicle is in mode {mode_name(own.heartbeat)}; the companion takes it from {modes}"
+            mode = mode_name(own.heartbeat)
+            return f"vehicle is in mode {mode}; the companion takes control only from {modes}"
         if config.region.transport_sets and self._broadcaster.trouble is not None:
             return self._broadcaster.trouble
         return own.unfit(now_s, config.vehicle.stale_after_s)

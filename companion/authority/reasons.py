@@ -13,10 +13,10 @@ from companion.ownship import Ownship
 
 _REASONS = {
     Trigger.RELEASE: "vehicle disarmed or on the ground",
-    Trigger.REARM: "authority given anew",
-    Trigger.HEALTHY: "own state fit again",
-    Trigger.WATCH: "guarding the mission that the vehicle flies",
-    Trigger.LEFT: "which vehicle is ours is not known",
+    Trigger.REARM: "the pilot gave authority again",
+    Trigger.HEALTHY: "own state usable again",
+    Trigger.WATCH: "guarding the vehicle's mission",
+    Trigger.LEFT: "two autopilots on the link, so it is unclear which one is ours",
     Trigger.CLEAR: "no conflict",
     Trigger.AWAY: "off the timed path",
     Trigger.REGAINED: "back on the timed path",
@@ -65,15 +65,15 @@ class Reasons:
             case Trigger.PILOT:
                 return self._what_the_pilot_did(now_s, seen, refused.lost)
             case Trigger.UNFIT:
-                return unfit or f"mode not entered: {refused.mode}"
+                return unfit or f"mode request failed: {refused.mode}"
             case Trigger.READY:
-                return f"taking the vehicle from mode {mode_name(self._own.heartbeat)}"
+                return f"taking control in mode {mode_name(self._own.heartbeat)}"
             case Trigger.LEFT if seen is not None:
-                return f"the mission was left for mode {mode_name(seen)}"
+                return f"the vehicle left its mission for mode {mode_name(seen)}"
             case Trigger.RESUMED if handback is not None:
                 return handback.how(now_s)
             case Trigger.ENDED:
-                return f"the mission came to its end as it was given back, in mode {mode_name(seen)}"
+                return f"the mission ended during handback; the vehicle is in mode {mode_name(seen)}"
             case Trigger.CHANGED if handback is not None:
                 return handback.why_not
             case Trigger.CONFLICT if result is not None:
@@ -82,8 +82,8 @@ class Reasons:
 
     def _what_the_pilot_did(self, now_s: float, seen: Heartbeat | None, lost: str | None) -> str:
         if seen is None:
-            return lost or "the pilot moves the sticks"
+            return lost or "the pilot moved the sticks"
         changed = f"mode changed to {mode_name(seen)}"
         if self._handback is not None and self._handback.ends_in_hold(seen, now_s):
-            return f"{changed} as the mission was given back: by its end, or by the pilot"
-        return f"{changed}, not by us"
+            return f"{changed} during handback: the mission ended, or the pilot changed it"
+        return f"{changed}, not by the companion"

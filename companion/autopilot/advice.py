@@ -38,8 +38,8 @@ def late_traffic(config: Config, vehicle: VehicleParameters) -> str | None:
     if radius.value == 0 or radius.value >= least_m:
         return None
     return (
-        f"{radius.name} {radius.value:g}: aircraft beyond {radius.value:g} m are not told of; at "
-        f"{CREWED_MPS:g} m/s that is {radius.value / CREWED_MPS:.0f} s, and {horizon:g} s are looked ahead: "
+        f"{radius.name} {radius.value:g}: the autopilot reports no aircraft beyond {radius.value:g} m; at "
+        f"{CREWED_MPS:g} m/s that is {radius.value / CREWED_MPS:.0f} s, but the look-ahead is {horizon:g} s: "
         f"set {least_m:g} m or more"
     )
 
@@ -50,26 +50,26 @@ def _flown(config: Config, vehicle: VehicleParameters) -> list[str]:
         return []
     dialect, limits, rate_hz = DIALECTS[vehicle.firmware], config.limits, config.flight.setpoint_rate_hz
     found = [
-        f"{p.name} {p.value:g} is below limits.{key} {getattr(limits, key):g}: the vehicle's limit counts"
+        f"{p.name} {p.value:g} is below limits.{key} {getattr(limits, key):g}: the vehicle's limit applies"
         for key, p in lower_ones(limits, vehicle).items()
     ]
     timeout, loss, fence = vehicle.setpoint_timeout_s, vehicle.loss_action, vehicle.fence_action
     least_s = max(LEAST_TIMEOUT_S, LEAST_SETPOINTS / rate_hz)
     if timeout is not None and timeout.value < least_s:
         found.append(
-            f"{timeout.name} {timeout.value:g} s is short for {rate_hz:g} setpoints a second: "
+            f"{timeout.name} {timeout.value:g} s is too short for {rate_hz:g} setpoints a second: "
             f"set {least_s:g} or more"
         )
     if loss is not None and loss.value in dialect.crashing_actions:
         found.append(
-            f"{loss.name} {loss.value:g}: a vehicle that hears no setpoints "
+            f"{loss.name} {loss.value:g}: without setpoints the vehicle "
             f"{dialect.after_silence(int(loss.value))}"
         )
     restart = restarting(vehicle)
     if config.flight.use == "guard" and restart is not None:
         found.append(restart)
     if limits.fence == "vehicle" and fence is not None and fence.value in dialect.idle_fence_actions:
-        found.append(f"{fence.name} {fence.value:g}: the vehicle itself does not obey its fence")
+        found.append(f"{fence.name} {fence.value:g}: the vehicle itself does not enforce its fence")
     return found
 
 
@@ -79,7 +79,8 @@ def restarting(vehicle: VehicleParameters) -> str | None:
     if restart is None or restart.value == 0:
         return None
     return (
-        f"{restart.name} {restart.value:g}: a mission that is given back would begin anew: set 0 to guard it"
+        f"{restart.name} {restart.value:g}: after a handback the mission would restart from its beginning; "
+        "set 0 to guard it"
     )
 
 
@@ -99,7 +100,8 @@ def too_fast(limits: LimitsConfig, vehicle: VehicleParameters, items: Sequence[M
     lower = lower_ones(limits, vehicle).get("max_speed_mps")
     name = "limits.max_speed_mps" if lower is None else lower.name
     return (
-        f"{who} is above {name} {limit_mps:g}: taken for a conflict, the vehicle slows down to that at once"
+        f"{who} is above {name} {limit_mps:g}: "
+        "when taken in a conflict, the vehicle slows down to that at once"
     )
 
 
@@ -108,7 +110,7 @@ def no_receiver(vehicle: VehicleParameters) -> str | None:
     receiver = vehicle.adsb_type
     if receiver is None or receiver.value != 0:
         return None
-    return f"{receiver.name} 0: no ADS-B receiver: crewed traffic is not heard"
+    return f"{receiver.name} 0: no ADS-B receiver, so crewed traffic is not received"
 
 
 def after_silence(vehicle: VehicleParameters) -> str:

@@ -8,8 +8,8 @@ from companion.autopilot.wire import Frame
 
 _ALL_REFUSED = {
     Refusal.UNSIGNED: "unsigned: signing is not set up on the autopilot",
-    Refusal.WRONG: "wrongly signed: the autopilot has another key",
-    Refusal.REPLAYED: "a replay: old frames are sent again, or the autopilot's timestamp went back",
+    Refusal.WRONG: "wrongly signed: the autopilot has a different key",
+    Refusal.REPLAYED: "a replay: old frames are being sent again, or the autopilot's timestamp went back",
     Refusal.STALE: "more than a minute old: the autopilot does not receive our frames, or it is a replay",
     Refusal.CROWDED: "rejected: too many signing senders on this link",
 }

@@ -241,7 +241,7 @@ def _changed(watched: _Watched, limits: tuple[str, ...], why: str | None = None)
         where = f"{where}, in {way.time_s:.0f} s"
     else:
         where = "parting"
-    bounds = f"; bounded by {', '.join(limits)}" if watched.acting and limits else ""
+    bounds = f"; limited by {', '.join(limits)}" if watched.acting and limits else ""
     return AlertChanged(
         track_id=other.track_id,
         level=int(level),

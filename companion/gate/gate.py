@@ -328,7 +328,7 @@ class Gate:
         if heartbeat is None or (system, component) != (heartbeat.system_id, _AUTOPILOT):
             raise Broken(Rule.TARGET, f"system {system}, component {component} is not the vehicle")
         if not self.current(now_s):
-            raise Broken(Rule.CURRENT, "the input was not read to its end, or no mode was seen since")
+            raise Broken(Rule.CURRENT, "not all input was read, or no mode was reported since")
         self._mandate.check(now_s)
 
     def _check_moment(self, now_s: float, *, holds: bool = False) -> None:

@@ -145,7 +145,7 @@ class Mandate:
         if not self._seen_down:
             raise Broken(
                 Rule.AUTHORITY,
-                "the vehicle was flying when the companion started, and has not been down since",
+                "the vehicle was flying when the companion started, and has not landed since",
             )
         if self.two_autopilots and self._any_vehicle and not self.engaged:
             raise Broken(Rule.TARGET, "two autopilots are heard")

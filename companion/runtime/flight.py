@@ -270,7 +270,7 @@ class Flight:
         self._read_s = None
         self.link.discard()
         self._stalls += 1
-        self._say(f"the program stood still for {lasted_s:.1f} s; what waited to be sent is discarded")
+        self._say(f"the program was stopped for {lasted_s:.1f} s; the data waiting to be sent was discarded")
 
     def _send(self) -> None:
         now_s = clock.now_s()

@@ -47,13 +47,15 @@ class Rule(NamedTuple):
 
 
 RULES: Final[dict[Flag, Rule]] = {
-    Flag.DUPLICATE_IDENTITY: Rule(4, 10, "its identity is heard from two places that one aircraft cannot be"),
-    Flag.JUMP: Rule(3, 10, "its position leapt farther than an aircraft can fly"),
+    Flag.DUPLICATE_IDENTITY: Rule(
+        4, 10, "its identity is heard from two places too far apart for one aircraft"
+    ),
+    Flag.JUMP: Rule(3, 10, "its position jumped farther than an aircraft can fly"),
     Flag.STALE_TIMESTAMP: Rule(5, 8, "its timestamps are older than allowed when they arrive"),
     Flag.FUTURE_TIMESTAMP: Rule(3, 6, "its timestamps lie in the future: its clock leads, or ours lags"),
     Flag.NO_TIMESTAMP: Rule(3, 6, "its messages carry no timestamp"),
     Flag.VELOCITY_MISMATCH: Rule(2, 3, "its positions do not follow the velocity that it reports"),
-    Flag.IMPOSSIBLE_VALUES: Rule(2, 6, "it reports a speed, place or altitude that cannot be"),
+    Flag.IMPOSSIBLE_VALUES: Rule(2, 6, "it reports an impossible speed, position or altitude"),
     Flag.REMOTE_ID_FAILURE: Rule(1, 3, "it reports a failure of its Remote ID system"),
     Flag.EMERGENCY: Rule(1, 3, "it reports an emergency"),
     Flag.SIGNED: Rule(1, 1, "a fresh signature of its key was verified"),

@@ -69,14 +69,16 @@ class Fleet:
         for vehicle, items in zip(self.vehicles, missions, strict=True):
             self._check_interrupt()
             vehicle.upload(items)
-            self._say(f"{vehicle.name}: the mission is aboard ({len(items)} items), read back and compared")
+            self._say(
+                f"{vehicle.name}: mission uploaded ({len(items)} items) and verified by reading it back"
+            )
 
     def take_off(self, height_m: float) -> None:
         """Take off from the ground to a height above home. Raises VehicleError."""
         for vehicle in self.vehicles:
             if not vehicle.on_ground:
                 raise VehicleError(
-                    f"{vehicle.name}: cannot take off: it is in the air already, at {vehicle.height_m:.1f} m"
+                    f"{vehicle.name}: cannot take off: it is already in the air, at {vehicle.height_m:.1f} m"
                 )
         self._wait_ready()
         for vehicle in self.vehicles:
@@ -88,7 +90,7 @@ class Fleet:
                 vehicle.command(NAV_TAKEOFF, 0.0, 0.0, 0.0, None, None, None, vehicle.home[2] + height_m)
             else:
                 vehicle.command(NAV_TAKEOFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m)
-            self._say(f"{vehicle.name}: it is armed and takes off to {height_m:g} m")
+            self._say(f"{vehicle.name}: armed and taking off to {height_m:g} m")
         enough_m = height_m - max(0.5, 0.05 * height_m)
 
         def up(vehicle: Vehicle) -> bool:
@@ -117,7 +119,7 @@ class Fleet:
         for vehicle in self.vehicles:
             self._check_interrupt()
             self._start(vehicle)
-            self._say(f"{vehicle.name}: it flies its mission")
+            self._say(f"{vehicle.name}: flying its mission")
 
     def gather(self) -> None:
         """Wait until all vehicles are at their first waypoint, then let all continue. Raises VehicleError."""
@@ -134,7 +136,7 @@ class Fleet:
             return far[vehicle.name] <= _AT_START_M
 
         self._until(there, math.inf, "flight to the start", lambda v: f"{far[v.name]:.0f} m away")
-        self._say("all vehicles are at their starts and continue")
+        self._say("all vehicles have reached their start points and continue")
         for _ in range(_TRIES):
             waiting = [vehicle for vehicle in self.vehicles if vehicle.item < 2]
             if not waiting:
@@ -180,14 +182,14 @@ class Fleet:
             try:
                 done[vehicle.name] = self._leave(vehicle)
             except Exception as error:  # A failure of one vehicle must not affect the others.
-                done[vehicle.name] = f"could not be commanded ({error}); its own failsafe decides"
+                done[vehicle.name] = f"could not be commanded ({error}); its own failsafe applies"
         return done
 
     # ------------------------------------------------------------ internals
 
     def _leave(self, vehicle: Vehicle) -> str:
         if not vehicle.ours and not vehicle.armed_by_us:
-            return "got no command"
+            return "received no command"
         vehicle.hear_again()
         if not vehicle.armed:
             return "is disarmed"
@@ -201,7 +203,7 @@ class Fleet:
         if vehicle.mode in COMING_DOWN:
             return f"descends at {vehicle.height_m:.1f} m and was left in {vehicle.mode}"
         if vehicle.mode not in (*vehicle.ours, vehicle.modes.holding):
-            return f"is flown by somebody else at {vehicle.height_m:.1f} m and was left in {vehicle.mode}"
+            return f"is flown by another operator at {vehicle.height_m:.1f} m and was left in {vehicle.mode}"
         if vehicle.mode != vehicle.modes.holding:
             vehicle.set_mode(FlightMode.HOLD)
         return f"holds at {vehicle.height_m:.1f} m in {vehicle.mode} and is armed; land it"

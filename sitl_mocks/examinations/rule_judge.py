@@ -334,7 +334,8 @@ class Judge:
         if age_s > STALE_S + self._grace_s:
             self._breach(now_s, "stale", f"a setpoint based on a position {age_s:.2f} s old")
         if now_s > self._gone_s + REACTION_S:
-            words = f"a setpoint was sent {now_s - self._gone_s:.3f} s after {self._end} could be read"
+            late_s = now_s - self._gone_s
+            words = f"a setpoint was sent {late_s:.3f} s after the report of {self._end} could be read"
             self._breach(now_s, "setpoint", words)
 
     @property
@@ -346,7 +347,8 @@ class Judge:
         self._asked.append(_Request(now_s, custom_mode))
         if now_s >= self._gone_s:
             what = "a change of the flight" if custom_mode < 0 else f"mode {custom_mode}"
-            words = f"{what} was requested {now_s - self._gone_s:.3f} s after {self._end} could be read"
+            late_s = now_s - self._gone_s
+            words = f"{what} was requested {late_s:.3f} s after the report of {self._end} could be read"
             self._breach(now_s, "request", words)
         last = self._choices[-1] if self._choices else None
         if last is not None and last.custom_mode == custom_mode and last.readable_s == math.inf:

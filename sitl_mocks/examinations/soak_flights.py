@@ -107,8 +107,8 @@ class Flights(World):
             # A companion that cannot hear the vehicle on the ground takes nothing in the next flight either.
             self._authority = self._authority or self.now_s > self.quiet_from_s
         elif self.onboard.gate.lost is not None:
-            # The ground station shows "takes nothing": a mode that the pilot selects after a fault, while the
-            # vehicle is still in the one that the companion asked for, ends authority as any other.
+            # The ground station shows "cannot take control": a mode that the pilot selects after a fault,
+            # while the vehicle is still in the one that we requested, ends authority like any other.
             self._authority = False
         if state is self._state:
             return

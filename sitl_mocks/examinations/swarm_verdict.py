@@ -86,7 +86,8 @@ def _show_result(report: dict[str, Any], console: Console) -> None:
     console.print(
         f"  {report['setpoints']} setpoints; {report['choices']} mode selections, "
         f"{report['choices_while_held']} of them with the companion in control; {report['crossed']} crossed "
-        f"a request, {report['alike']} not judged; {len(report['not_done'])} scheduled faults not reached; "
+        f"a request on the link, {report['alike']} not judged; "
+        f"{len(report['not_done'])} scheduled faults not reached; "
         f"{report['dropped']} frames lost to the companion's full buffer; the router was up to "
         f"{report['router_late_s']:.2f} s late",
         highlight=False,

@@ -258,7 +258,7 @@ def test_the_pilot_takes_over(start, tmp_path):
     companion.wait_for("vehicle mode external")
     with Station(vehicle) as station:
         station.send(station.writer.encoder.command_long_encode(1, 1, 176, 0, 1, 5, 0, 0, 0, 0, 0))
-        companion.wait_for("-> yielded: mode changed to LOITER, not by us")
+        companion.wait_for("-> yielded: mode changed to LOITER, not by the companion")
     companion.wait_for("yielded; vehicle mode sticks")
     assert companion.end() == 0
     _, items = the_record(tmp_path)

@@ -69,7 +69,7 @@ def test_two_vehicles_meet_as_a_scenario_says_and_land(tmp_path, start):
     b = Vehicle(start, tmp_path / "b.csv", "--firmware", "px4", "--system-id", "2", "--start", "0", "8")
     fly = start("ground_tools.cli", "fly", a.address, b.address, "--scenario", scenario, "--takeoff", "3",
                 "--start", "--land", "--json")  # fmt: skip
-    fly.wait_for("all vehicles are at their starts and continue")
+    fly.wait_for("all vehicles have reached their start points and continue")
     assert fly.process.wait(PATIENCE_S) == 0, fly.output
     report = json.loads(fly.output.splitlines()[-1])
     assert report["ok"] is True

@@ -158,10 +158,10 @@ def test_flies_through_noise_and_a_cable_that_is_pulled_and_plugged_again(start,
     cable.pull()
     companion.wait_for("autopilot:921600: lost: .*; reopening it")
     # Which of both comes first is a matter of milliseconds.
-    companion.wait_for("guarding -> fault: (own position older than|nothing commanded for)")
+    companion.wait_for("guarding -> fault: (own position older than|no command sent for)")
     cable.plug()
     companion.wait_for("autopilot:921600: restored")
-    companion.wait_for("fault -> standby: own state fit again")
+    companion.wait_for("fault -> standby: own state usable again")
     cable.wait_for_setpoints(20)
     assert companion.end() == 0
     assert vehicle.end() == 0

@@ -130,7 +130,7 @@ class KeptLink:
         if now - self._said_s > _SAY_AGAIN_S:
             self._said_s = now
             self._say(
-                f"link {self._name}: nothing gets through; what waited too long to be sent was discarded"
+                f"link {self._name}: nothing gets through; data that waited too long to be sent was discarded"
             )
 
     def _lose(self, error: OSError) -> None:

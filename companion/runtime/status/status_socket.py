@@ -159,7 +159,7 @@ def _listen(name: str, where: list[Path]) -> tuple[Path, socket.socket]:
         except OSError as failed:
             error = error or failed
     raise ConfigError(
-        f"{where[0]}: a status socket cannot be made there: {error and (error.strerror or error)}"
+        f"{where[0]}: the status socket cannot be created: {error and (error.strerror or error)}"
     )
 
 

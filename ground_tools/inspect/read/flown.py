@@ -190,7 +190,7 @@ def _twice(own: tuple[Path, ...]) -> tuple[str, ...]:
     """Report pairs of paths so close together that they are probably one aircraft recorded twice."""
     return tuple(
         f"{one.name} and {other.name} were within {SAME_M:g} m of each other most of the time; if they are "
-        "one aircraft recorded twice, their separation means nothing"
+        "one aircraft recorded twice, their separation is meaningless"
         for one, other in itertools.combinations(own, 2)
         if _median_distance_m(one, other) < SAME_M
     )

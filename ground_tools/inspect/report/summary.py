@@ -329,7 +329,7 @@ def _why_nothing(record: AircraftRecord, track: str, at_s: float) -> str:
     if facts is None:
         decided = abs(record.facts.decisions.now_s - at_s).min(initial=np.inf) <= _SAME_TIME_S
         return (
-            "did nothing: its law did not know the other"
+            "did nothing: its law had no track of the other"
             if decided
             else "did nothing: its law made no decision at that time"
         )

@@ -53,21 +53,21 @@ from the usual saw-tooth shape."""
 _LEGEND = f"""
 In space, in each aircraft's colour:
 
-- large point with a name: the aircraft, where it takes itself to be; around it its own conflict volume
+- large point with a name: the aircraft at its own estimate of its position; around it its own conflict volume
 - thick line: what it flew; thin pale line and small grey point: its timed path
 - arrows, {ARROW_S:g} s long: grey the velocity it wanted, coloured the one its law chose
-- pale points: another one as it heard it, where its message said
-- small points: another one as its law predicted it, the greyer the older (grey from {OLD_S:g} s on)
+- pale points: another aircraft at the position that its received message gave
+- small points: another aircraft as the law predicted it, greyer with age (grey from {OLD_S:g} s on)
 - pale ellipsoid around a track: the volume that the law cleared, while that track is in its way
 - line to a track: pale while in conflict; strong while that track bounds the chosen velocity
-- square at the tip of a chosen arrow: the half-space of a track that bounds it, its tick to what is allowed
-- points of constant size, small where nothing is wrong: what happened there; point at one to read it
+- square at the tip of a chosen arrow: the half-space of a bounding track, its tick on the allowed side
+- points of constant size (small if nothing is wrong): events; hover over one to read it
 
-Speed: thick flown, pale chosen, grey wanted. Distance to heard traffic: as the law saw it, the least of each
-{RANGE_S:g} s. Ages: the greatest of each {AGE_S:g} s. Link: frames that are missing of each component
-(system/component), by their numbers, in each second; what a radio says of itself, in its own units.
+Speed: thick flown, pale chosen, grey wanted. Distance to heard traffic: as the law saw it, the minimum in
+each {RANGE_S:g} s. Ages: the maximum in each {AGE_S:g} s. Link: frames missing in each second from each
+component (system/component), by their sequence numbers; what a radio reports about itself, in its own units.
 
-Time line `encounter` holds what lies around the first conflict, `time` the whole run: switch below.
+Time line `encounter` shows the time around the first conflict, `time` the whole run: switch below.
 """
 
 

@@ -105,7 +105,9 @@ class PacketChannel:
         """
         sent_s, sender = transmission.sent_s, transmission.sender
         if sent_s < self._settled_s:
-            raise ValueError(f"sent at {sent_s} s, but the air is already settled until {self._settled_s} s")
+            raise ValueError(
+                f"sent at {sent_s} s, but everything is already decided until {self._settled_s} s"
+            )
         mode, durations = mode_of(transmission.transport), self._durations
         radios = {name: self._radio(name, sent_s, rng) for name in (sender, *transmission.distance_m)}
         wifi_channel = self._links.wifi_channel(sender, transmission.transport, rng)

@@ -236,7 +236,7 @@ def test_no_legal_set_leaves_it_to_the_floor(bench):
     event = chosen(made)[-1]
     assert (event.by, event.rates) == ("fallback", (("wifi", 1),))
     assert "legal" in event.reason
-    assert "now wifi 1/s as configured, as far as law and radio allow" in said(made)[0].text
+    assert "now wifi 1/s (configured rates, as far as region and radio allow)" in said(made)[0].text
 
 
 def test_what_is_configured_goes_on_where_no_set_can_be_sent(bench):
@@ -256,7 +256,7 @@ def test_an_old_own_position(bench):
     made.step(80)
     made.stuck_position = True
     made.step(180)
-    assert chosen(made)[-1].reason == "the own position is old"
+    assert chosen(made)[-1].reason == "own position is too old"
     made.stuck_position = False
     made.step(120)
     assert chosen(made)[-1].by == "policy"

@@ -125,11 +125,11 @@ DAMAGES = {
     "unknown field": (with_meta(colour="red"), "unknown field `colour`"),
     "no actions": (with_meta(actions=[]), "length >= 1"),
     "rate": (with_meta(actions=[[11, 0, 0]] * 47), "<= 10"),
-    "twice": (with_meta(actions=[[10, 0, 0]] * 47), "actions: one stands there twice"),
+    "twice": (with_meta(actions=[[10, 0, 0]] * 47), "actions: an action is listed twice"),
     "idle": (lambda m, p: put({**m, "actions": [[0, 0, 0], *m["actions"][1:]]}, p), "no transport"),
     "fewer actions": (lambda m, p: put({**m, "actions": m["actions"][1:]}, p), "sizes do not fit"),
     "column": (with_meta(own_columns=["mood"]), r"own_columns: \('mood',\): allowed: ble4"),
-    "column twice": (with_meta(own_columns=["ble4", "ble4"]), "own_columns: one stands there twice"),
+    "column twice": (with_meta(own_columns=["ble4", "ble4"]), "own_columns: a name is listed twice"),
     "columns": (with_meta(own_columns=["ble4"]), "bounds: own_low, own_high"),
     "bounds": (
         lambda m, p: put({**m, "bounds": {**m["bounds"], "own_low": [2.0] * FO}}, p),

@@ -231,7 +231,7 @@ def test_all_that_leaves_is_signed_in_order() -> None:
     ("raw", "words"),
     [
         (Peer().unsigned(), "unsigned: signing is not set up on the autopilot"),
-        (Peer(OTHER_KEY).signed(), "wrongly signed: the autopilot has another key"),
+        (Peer(OTHER_KEY).signed(), "wrongly signed: the autopilot has a different key"),
         (
             Peer(timestamp=0).signed(),
             "more than a minute old: the autopilot does not receive our frames, or it is a replay",

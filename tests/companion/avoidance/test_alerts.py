@@ -290,7 +290,7 @@ def test_the_reason_names_track_distances_time_and_what_bounds():
     assert change == AlertChanged(
         track_id="X",
         level=3,
-        reason="warning X: closest 6 m aside, 3 m in height, in 4 s; avoiding; bounded by fence, speed",
+        reason="warning X: closest 6 m aside, 3 m in height, in 4 s; avoiding; limited by fence, speed",
         time_to_closest_s=pytest.approx(4.0),
         horizontal_m=pytest.approx(6.0),
         vertical_m=pytest.approx(3.0),

@@ -75,7 +75,7 @@ def test_a_mission_that_is_faster_than_the_limit(
     vehicle: VehicleParameters, items: list[MissionItem], limit_mps: float, words: str | None
 ) -> None:
     text = too_fast(LimitsConfig(max_speed_mps=limit_mps), vehicle, items)
-    slows = ": taken for a conflict, the vehicle slows down to that at once"
+    slows = ": when taken in a conflict, the vehicle slows down to that at once"
     assert text == (None if words is None else words + slows)
 
 
@@ -157,7 +157,7 @@ def test_it_is_said_once_and_again_only_when_it_changes(make_bench) -> None:
         bench.step(20)
     said = [text for text in texts(bench) if "WP_SPD" in text]
     assert said == [
-        f"DMUCA: WP_SPD {number} is below limits.max_speed_mps 5: the vehicle's limit counts"
+        f"DMUCA: WP_SPD {number} is below limits.max_speed_mps 5: the vehicle's limit applies"
         for number in ("4", "3.5")
     ]
     severities = {c.severity for _, c in bench.log if isinstance(c, Say) and "WP_SPD" in c.text}
@@ -171,7 +171,11 @@ def test_it_is_said_once_and_again_only_when_it_changes(make_bench) -> None:
 @pytest.mark.parametrize(
     ("vehicle", "over", "words"),
     [
-        (told(setpoint_timeout_s=("GUID_TIMEOUT", 0.4)), {}, "GUID_TIMEOUT 0.4 s is short for 20 setpoints"),
+        (
+            told(setpoint_timeout_s=("GUID_TIMEOUT", 0.4)),
+            {},
+            "GUID_TIMEOUT 0.4 s is too short for 20 setpoints",
+        ),
         (told(setpoint_timeout_s=("GUID_TIMEOUT", 0.5)), {}, None),
         (
             told(Firmware.PX4, setpoint_timeout_s=("COM_OF_LOSS_T", 0.9)),
@@ -199,7 +203,7 @@ def test_it_is_said_once_and_again_only_when_it_changes(make_bench) -> None:
         (
             adsb(2000),
             {},
-            "ADSB_LIST_RADIUS 2000: aircraft beyond 2000 m are not told of; at 80 m/s that is 25 s",
+            "ADSB_LIST_RADIUS 2000: the autopilot reports no aircraft beyond 2000 m; at 80 m/s that is 25 s",
         ),
         (adsb(2000), {}, "and 90 s are looked ahead: set 7200 m or more"),
         (adsb(2000), {"use": "watch"}, "ADSB_LIST_RADIUS 2000"),
@@ -231,4 +235,4 @@ def test_what_follows_silence() -> None:
     )
     px4 = told(Firmware.PX4, setpoint_timeout_s=("COM_OF_LOSS_T", 1.0), loss_action=("COM_OBL_RC_ACT", 5.0))
     assert after_silence(px4) == "without setpoints for 1 s (COM_OF_LOSS_T) it holds (COM_OBL_RC_ACT 5)"
-    assert after_silence(told(Firmware.PX4)) == "without setpoints it does what COM_OBL_RC_ACT says"
+    assert after_silence(told(Firmware.PX4)) == "without setpoints it follows COM_OBL_RC_ACT"

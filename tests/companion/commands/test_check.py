@@ -226,7 +226,7 @@ def test_a_path_that_the_vehicle_cannot_fly_is_not_ready(make_config: Callable[.
     ready, said = judge("fly", slow)
     assert not ready
     assert said[0] == "vehicle: without setpoints for 0.2 s (COM_OF_LOSS_T) it returns (COM_OBL_RC_ACT 3)"
-    assert "vehicle: MPC_XY_VEL_MAX 2 is below limits.max_speed_mps 5: the vehicle's limit counts" in said
+    assert "vehicle: MPC_XY_VEL_MAX 2 is below limits.max_speed_mps 5: the vehicle's limit applies" in said
     assert any(line.startswith("vehicle: COM_OF_LOSS_T 0.2 s is short") for line in said)
     assert "is above the vehicle's MPC_XY_VEL_MAX 2" in said[-1]
     assert judge("watch", slow) == (True, [])
@@ -251,8 +251,8 @@ def test_the_mission_that_is_to_be_guarded(make_config: Callable[..., Config]) -
 
     fast = (
         "yellow",
-        "WP_SPD 9.6 is above limits.max_speed_mps 5: taken for a conflict, the vehicle slows down to that "
-        "at once",
+        "WP_SPD 9.6 is above limits.max_speed_mps 5: when taken in a conflict, the vehicle slows down to "
+        "that at once",
     )
     assert judge(MissionDownloaded(items=(slow, place))) == [("green", "2 items, read from the vehicle")]
     assert judge(MissionDownloaded(items=(place,))) == [("green", "1 items, read from the vehicle"), fast]
@@ -279,8 +279,8 @@ def test_what_the_vehicle_hears_of_crewed_traffic_is_told(make_config: Callable[
     for use in ("fly", "watch"):
         (line,) = judge(use, 1.0)
         assert line.startswith(
-            "YELLOW vehicle: ADSB_LIST_RADIUS 2000: aircraft beyond 2000 m are not told of"
+            "YELLOW vehicle: ADSB_LIST_RADIUS 2000: the autopilot reports no aircraft beyond 2000 m"
         )
         assert judge(use, 0.0) == [
-            "GREEN vehicle: ADSB_TYPE 0: no ADS-B receiver: crewed traffic is not heard"
+            "GREEN vehicle: ADSB_TYPE 0: no ADS-B receiver, so crewed traffic is not received"
         ]

@@ -198,7 +198,7 @@ def test_too_far_from_the_path_is_not_taken_and_said_once(make_bench):
     bench.east_m = 80.0
     said = [c.text for c in bench.step(400) if isinstance(c, Say)]
     assert bench.core.state is State.STANDBY
-    assert said == ["DMUCA: path refused: vehicle is not within 50 m of the path's point"]
+    assert said == ["DMUCA: path refused: vehicle is more than 50 m from its place on the path"]
     bench.east_m = 20.0
     bench.until(lambda: bench.core.state in HOLDING)
     bench.step(10)

@@ -243,7 +243,7 @@ def test_a_mission_that_ends_as_it_is_given_back_is_not_the_pilots_takeover(guar
     assert bench.core.state is State.STANDBY
     assert not bench.setpoints(commands)
     assert not modes(commands)
-    assert any(isinstance(c, Say) and "came to its end as it was given back" in c.text for c in commands)
+    assert any(isinstance(c, Say) and "the mission ended during handback" in c.text for c in commands)
     assert not bench.setpoints(bench.step(100))
     bench.mode, bench.custom_mode = FlightMode.MISSION, 0
     bench.extra.append(MissionCurrent(seq=0))
@@ -254,7 +254,7 @@ def test_a_mission_that_ends_as_it_is_given_back_is_not_the_pilots_takeover(guar
     ("firmware", "words"),
     [
         (Firmware.PX4, "AUTO.LOITER as the mission was given back: by its end, or by the pilot"),
-        (Firmware.ARDUPILOT, "not by us"),
+        (Firmware.ARDUPILOT, "not by the companion"),
     ],
 )
 def test_a_hold_whose_cause_is_not_known_is_the_pilots(guarded, firmware, words):

@@ -79,7 +79,7 @@ def test_the_modes_name_is_the_one_that_the_pilot_chose(make_bench, firmware):
     custom = DIALECTS[firmware].command(HOLD).custom_mode
     bench.extra += [beat(HOLD, firmware=firmware, custom_mode=custom), beat(EXTERNAL, firmware=firmware)]
     (change,) = [c for c in bench.step() if isinstance(c, AuthorityChanged)]
-    assert change.reason == f"mode changed to {DIALECTS[firmware].name(custom)}, not by us"
+    assert change.reason == f"mode changed to {DIALECTS[firmware].name(custom)}, not by the companion"
 
 
 def test_a_mode_told_between_two_heartbeats_counts(make_bench, firmware):

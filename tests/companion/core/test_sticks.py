@@ -107,7 +107,7 @@ def test_sticks_that_move_in_a_fault_get_a_mode_that_takes_them(guarded, firmwar
     assert modes(commands) == [FlightMode.STICKS]
     assert not bench.setpoints(commands)
     (change,) = [c for c in commands if isinstance(c, AuthorityChanged)]
-    assert change.reason == "the pilot moves the sticks"
+    assert change.reason == "the pilot moved the sticks"
 
 
 def test_sticks_that_move_in_a_fault_leave_a_mode_that_is_not_ours_alone(guarded):
@@ -123,7 +123,7 @@ def test_sticks_that_move_in_a_fault_leave_a_mode_that_is_not_ours_alone(guarded
     assert bench.core.state is State.YIELDED
     assert modes(commands) == []
     (change,) = [c for c in commands if isinstance(c, AuthorityChanged)]
-    assert change.reason == "the pilot moves the sticks"
+    assert change.reason == "the pilot moved the sticks"
 
 
 def test_a_glitch_and_sticks_at_rest_are_no_pilot(guarded):

@@ -71,7 +71,7 @@ ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4
         (ARDUPILOT, "GUIDED", {"AUTO"}, [], "flown by somebody else at 20.0 m and was left in GUIDED"),
         (ARDUPILOT, "LOITER", {"AUTO"}, [], "flown by somebody else at 20.0 m and was left in LOITER"),
         (ARDUPILOT, "LAND", {"LAND"}, [], "descends at 20.0 m and was left in LAND"),
-        (ARDUPILOT, "AUTO", set(), [], "got no command"),
+        (ARDUPILOT, "AUTO", set(), [], "received no command"),
         (PX4, "AUTO.MISSION", {"AUTO.MISSION"}, [FlightMode.HOLD], "holds at 20.0 m in AUTO.LOITER"),
         (PX4, "AUTO.LOITER", {"AUTO.MISSION"}, [], "holds at 20.0 m in AUTO.LOITER"),
         (PX4, "OFFBOARD", {"AUTO.MISSION"}, [], "flown by somebody else at 20.0 m and was left in OFFBOARD"),

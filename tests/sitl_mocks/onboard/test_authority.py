@@ -65,7 +65,7 @@ def test_a_mode_that_a_ground_station_commands(firmware):
     assert silent_from_now(sky, one)
     assert one.vehicle.mode is VehicleMode.RTL
     name = "RTL" if firmware is ARDUPILOT else "AUTO.RTL"
-    assert f"DMUCA yielded: mode changed to {name}, not by us" in one.texts()
+    assert f"DMUCA yielded: mode changed to {name}, not by the companion" in one.texts()
 
 
 @pytest.mark.parametrize(
@@ -298,5 +298,5 @@ def test_every_move_that_ends_authority_says_why(firmware):
     sky.until(lambda: one.state not in HOLDING, 3.0)
     (change,) = [c for c in one.of(AuthorityChanged) if c.state == "yielded"]
     name = "LOITER" if firmware is ARDUPILOT else "AUTO.LOITER"
-    assert change.reason == f"mode changed to {name}, not by us"
+    assert change.reason == f"mode changed to {name}, not by the companion"
     assert f"DMUCA yielded: {change.reason}" in one.texts()

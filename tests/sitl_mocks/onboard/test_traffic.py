@@ -294,7 +294,7 @@ def test_beside_a_fence_a_conflict_is_solved_inside_and_the_reason_says_so(firmw
     assert min(nearest.values()) > 10.0
     alerts = [c for _, c in pair.timed(AlertChanged) if c.level]
     assert alerts[-1].limits == ("fence",)
-    assert alerts[-1].reason.endswith("; avoiding; bounded by fence")
+    assert alerts[-1].reason.endswith("; avoiding; limited by fence")
     assert f"DMUCA {alerts[-1].reason}" in pair.texts()
 
 

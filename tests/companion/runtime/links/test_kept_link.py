@@ -195,7 +195,9 @@ def test_what_is_thrown_away_on_a_link_that_stays_up_is_said_once_in_a_while(kep
         kept.trouble.discarded += 1
         kept.receive(0.0)
         kept.send(b"x")
-    assert said == ["link tcp:there: nothing gets through; what waited too long to be sent was discarded"]
+    assert said == [
+        "link tcp:there: nothing gets through; data that waited too long to be sent was discarded"
+    ]
     now += 11.0
     kept.receive(0.0)
     assert len(said) == 1

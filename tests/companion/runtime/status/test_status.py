@@ -154,7 +154,7 @@ def test_a_socket_that_nobody_serves_says_so(tmp_path):
 def test_what_is_no_socket_stays(tmp_path, monkeypatch):
     monkeypatch.setattr("companion.runtime.status.status_socket.folders", lambda _environ: [tmp_path])
     (tmp_path / "companion-OWN.sock").write_text("mine")
-    with pytest.raises(ConfigError, match="a status socket cannot be made"):
+    with pytest.raises(ConfigError, match="the status socket cannot be created"):
         StatusServer("companion-OWN", {})
     assert (tmp_path / "companion-OWN.sock").read_text() == "mine"
 

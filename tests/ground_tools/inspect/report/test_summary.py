@@ -120,7 +120,10 @@ def test_after_a_pilot_took_over_the_closest_is_as_heard(tmp_path: Path) -> None
         made = (decision(track("INTRUDER", position_ned_m=(60.0, 0.0, -50.0))),) if t <= 2.0 else ()
         steps.append(step(t, *made, events=events))
     took = AuthorityChanged(
-        previous="avoiding", state="yielded", trigger="mode taken", reason="mode changed to LOITER, not by us"
+        previous="avoiding",
+        state="yielded",
+        trigger="mode taken",
+        reason="mode changed to LOITER, not by the companion",
     )
     warned = AlertChanged(
         track_id="NEXT",
@@ -136,7 +139,7 @@ def test_after_a_pilot_took_over_the_closest_is_as_heard(tmp_path: Path) -> None
     one, two = describe(read_run(tmp_path))["conflicts"]
     assert (one["pair"][1], one["time_s"], one["by"]) == ("INTRUDER", 8.0, "Remote ID, as heard")
     assert one["minimum_m"] == pytest.approx(12.0, abs=0.1)
-    assert one["done"][0].endswith("; its state was yielded: mode changed to LOITER, not by us")
+    assert one["done"][0].endswith("; its state was yielded: mode changed to LOITER, not by the companion")
     assert (two["pair"][1], two["by"]) == ("NEXT", "Remote ID, as heard")
     assert two["minimum_m"] == pytest.approx(31.0, abs=0.1)
     assert two["done"][0].startswith("ONE did nothing: ")

@@ -381,5 +381,5 @@ def test_what_is_over_is_forgotten() -> None:
 def test_time_does_not_go_back() -> None:
     channel, rng = PacketChannel(PAPER), np.random.default_rng(1)
     channel.settle(2.0, rng)
-    with pytest.raises(ValueError, match=r"sent at 1.9 s, but the air is already settled until 2.0 s"):
+    with pytest.raises(ValueError, match=r"sent at 1.9 s, but everything is already decided until 2.0 s"):
         channel.transmit(Transmission(0, 1.9, "s", "wifi", {"b": 1.0}), rng)
