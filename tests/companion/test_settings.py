@@ -166,7 +166,7 @@ def test_a_law_keeps_its_numbers_until_the_flight_is_over(make_bench):
     law = bench.core.plan.course.law
     bench.extra.append(Settings(max_speed_mps=3.5, conflict_radius_m=9.0))
     commands = bench.step(100)
-    assert "DMUCA: DMUCA_RADIUS 9, was 5; from the next path on" in said(commands)
+    assert "DMUCA: DMUCA_RADIUS 9, was 5; applies from the next path" in said(commands)
     assert bench.core.in_control
     assert bench.core.plan.course.law is law
     assert bench.core.config.limits.max_speed_mps == 5.0

@@ -94,7 +94,7 @@ def test_ctrl_c_in_flight_leaves_it_holding(tmp_path, start, plan):
     """From the ground by the mission's own take-off; on ArduPilot to BRAKE, armed, in the air."""
     vehicle = Vehicle(start, tmp_path / "a.csv", "--firmware", "ardupilot")
     fly = start("ground_tools.cli", "fly", vehicle.address, "--mission", plan, "--start", "--wait")
-    fly.wait_for(r"the mission is aboard \(3 items\), read back and compared")
+    fly.wait_for(r"mission uploaded \(3 items\) and verified by reading it back")
     fly.wait_for("mission: item 3, AUTO")
     assert fly.end() == 130
     assert fly.output.endswith("in BRAKE and is armed; land it\n")
@@ -111,7 +111,7 @@ def test_what_the_vehicle_says_when_it_refuses(tmp_path, start):
         r"vehicle 1: COMPONENT_ARM_DISARM was refused \(FAILED\): Arm: OpenDroneID: .*; trying again"
     )
     assert fly.end() == 130
-    assert fly.output.endswith("vehicle 1 got no command\n")
+    assert fly.output.endswith("vehicle 1 received no command\n")
     assert vehicle.left()["armed"] is False
 
 

@@ -180,7 +180,8 @@ def test_head_on_with_one_that_cooperates_and_one_that_does_not(start, tmp_path,
         a.wait_for("avoiding -> recovering")
         a.wait_for("recovering -> guarding")
         back = a.wait_for(
-            r"guarding -> watching: the vehicle flies its mission on at item (\d+), taken for (\d+) s, (\d+)"
+            r"guarding -> watching: mission resumed at item (\d+) after (\d+) s under companion control, "
+            r"at most (\d+) m off"
         )
         item, seconds, off_m = map(int, back.groups())
         assert item == (3 if guarded == "ardupilot" else 2)

@@ -127,7 +127,7 @@ DAMAGES = {
     "rate": (with_meta(actions=[[11, 0, 0]] * 47), "<= 10"),
     "twice": (with_meta(actions=[[10, 0, 0]] * 47), "actions: an action is listed twice"),
     "idle": (lambda m, p: put({**m, "actions": [[0, 0, 0], *m["actions"][1:]]}, p), "no transport"),
-    "fewer actions": (lambda m, p: put({**m, "actions": m["actions"][1:]}, p), "sizes do not fit"),
+    "fewer actions": (lambda m, p: put({**m, "actions": m["actions"][1:]}, p), "sizes do not match"),
     "column": (with_meta(own_columns=["mood"]), r"own_columns: \('mood',\): allowed: ble4"),
     "column twice": (with_meta(own_columns=["ble4", "ble4"]), "own_columns: a name is listed twice"),
     "columns": (with_meta(own_columns=["ble4"]), "bounds: own_low, own_high"),
@@ -135,7 +135,7 @@ DAMAGES = {
         lambda m, p: put({**m, "bounds": {**m["bounds"], "own_low": [2.0] * FO}}, p),
         "bounds: own_low, own_high",
     ),
-    "agents": (with_meta(agents=2), "shared by all"),
+    "agents": (with_meta(agents=2), "all aircraft share"),
     "no golden": (with_meta(golden=[]), "length >= 1"),
     "golden": (
         lambda m, p: put({**m, "golden": [{**m["golden"][0], "own": [0.0]}]}, p),

@@ -186,7 +186,7 @@ def test_it_is_said_once_and_again_only_when_it_changes(make_bench) -> None:
         (
             told(Firmware.PX4, loss_action=("COM_OBL_RC_ACT", 6)),
             {},
-            "COM_OBL_RC_ACT 6: a vehicle that hears no",
+            "COM_OBL_RC_ACT 6: without setpoints the vehicle",
         ),
         (told(Firmware.PX4, loss_action=("COM_OBL_RC_ACT", 7)), {}, "no setpoints disarms"),
         (told(Firmware.PX4, loss_action=("COM_OBL_RC_ACT", 3)), {}, None),
@@ -196,7 +196,7 @@ def test_it_is_said_once_and_again_only_when_it_changes(make_bench) -> None:
         (told(Firmware.PX4, fence_action=("GF_ACTION", 1)), {"fence": "vehicle"}, "GF_ACTION 1: the vehicle"),
         (told(Firmware.PX4, fence_action=("GF_ACTION", 3)), {"fence": "vehicle"}, None),
         (told(setpoint_timeout_s=("GUID_TIMEOUT", 0.1)), {"use": "watch"}, None),
-        (told(mission_restart=("MIS_RESTART", 1)), {"use": "guard"}, "MIS_RESTART 1: a mission that is"),
+        (told(mission_restart=("MIS_RESTART", 1)), {"use": "guard"}, "MIS_RESTART 1: after a handback"),
         (told(mission_restart=("MIS_RESTART", 0)), {"use": "guard"}, None),
         (told(mission_restart=("MIS_RESTART", 1)), {}, None),
         (told(), {}, None),
@@ -205,7 +205,7 @@ def test_it_is_said_once_and_again_only_when_it_changes(make_bench) -> None:
             {},
             "ADSB_LIST_RADIUS 2000: the autopilot reports no aircraft beyond 2000 m; at 80 m/s that is 25 s",
         ),
-        (adsb(2000), {}, "and 90 s are looked ahead: set 7200 m or more"),
+        (adsb(2000), {}, "but the look-ahead is 90 s: set 7200 m or more"),
         (adsb(2000), {"use": "watch"}, "ADSB_LIST_RADIUS 2000"),
         (adsb(7199), {}, "ADSB_LIST_RADIUS 7199"),
         (adsb(7200), {}, None),
@@ -226,7 +226,7 @@ def test_remarks(make_config, vehicle: VehicleParameters, over: dict[str, Any], 
 def test_a_longer_look_ahead_asks_for_a_wider_radius(make_config) -> None:
     config = msgspec.structs.replace(make_config(), avoidance=AvoidanceConfig(horizon_s=100.0))
     (text,) = remarks(config, adsb(7200))
-    assert text.endswith("100 s are looked ahead: set 8000 m or more")
+    assert text.endswith("the look-ahead is 100 s: set 8000 m or more")
 
 
 def test_what_follows_silence() -> None:

@@ -227,7 +227,7 @@ def test_a_path_that_the_vehicle_cannot_fly_is_not_ready(make_config: Callable[.
     assert not ready
     assert said[0] == "vehicle: without setpoints for 0.2 s (COM_OF_LOSS_T) it returns (COM_OBL_RC_ACT 3)"
     assert "vehicle: MPC_XY_VEL_MAX 2 is below limits.max_speed_mps 5: the vehicle's limit applies" in said
-    assert any(line.startswith("vehicle: COM_OF_LOSS_T 0.2 s is short") for line in said)
+    assert any(line.startswith("vehicle: COM_OF_LOSS_T 0.2 s is too short") for line in said)
     assert "is above the vehicle's MPC_XY_VEL_MAX 2" in said[-1]
     assert judge("watch", slow) == (True, [])
     ready, said = judge("fly", VehicleParameters(firmware=Firmware.ARDUPILOT))

@@ -137,7 +137,7 @@ def test_a_vehicle_that_is_taken_again_and_again_is_given_back_ever_later(guarde
     bench = guarded()
     waited = [given_back_after_s(bench) for _ in range(4)]
     assert waited == [pytest.approx(s, abs=1.0) for s in (3.0, 6.0, 12.0, 24.0)]
-    assert any(isinstance(c, Say) and "after 24 s without a conflict" in c.text for _, c in bench.log)
+    assert any(isinstance(c, Say) and "after 24 s without conflict" in c.text for _, c in bench.log)
     bench.step(round(61.0 / 0.05))
     assert given_back_after_s(bench) == pytest.approx(3.0, abs=1.0)
 
@@ -178,7 +178,9 @@ def test_a_mission_that_cannot_be_read_is_not_waited_for_for_ever(guarded, firmw
     assert bench.now_s - since == pytest.approx(90.0, abs=1.0)
     assert modes(c for _, c in bench.log) == [FlightMode.EXTERNAL, FlightMode.HOLD]
     (text,) = [c.text for _, c in bench.log if isinstance(c, Say) and "could not be read for 90 s" in c.text]
-    assert text.endswith("select AUTO" if firmware is Firmware.ARDUPILOT else "select AUTO.MISSION")
+    assert text.endswith(
+        f"Select {'AUTO' if firmware is Firmware.ARDUPILOT else 'AUTO.MISSION'} to fly the mission"
+    )
 
 
 def unseen(guarded):
@@ -224,7 +226,7 @@ def test_a_mission_that_is_complete_is_not_entered_again(guarded):
         if bench.core.state is State.YIELDED:
             break
     assert modes(c for _, c in bench.log) == [FlightMode.EXTERNAL, FlightMode.HOLD]
-    assert any(isinstance(c, Say) and "come to its end" in c.text for _, c in bench.log)
+    assert any(isinstance(c, Say) and "already complete" in c.text for _, c in bench.log)
 
 
 def ends_as_it_is_given_back(guarded, firmware, complete):
@@ -253,7 +255,7 @@ def test_a_mission_that_ends_as_it_is_given_back_is_not_the_pilots_takeover(guar
 @pytest.mark.parametrize(
     ("firmware", "words"),
     [
-        (Firmware.PX4, "AUTO.LOITER as the mission was given back: by its end, or by the pilot"),
+        (Firmware.PX4, "AUTO.LOITER during handback: the mission ended, or the pilot changed it"),
         (Firmware.ARDUPILOT, "not by the companion"),
     ],
 )

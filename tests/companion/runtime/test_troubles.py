@@ -306,6 +306,6 @@ def test_a_computer_that_was_suspended_flies_on_nothing_old(guarding, said, unti
         lambda: until(heard_of(said, "guarding -> fault")),
         lambda: until(heard_of(said, "fault -> standby")),
     )
-    assert heard_of(said, "guarding -> fault: the loop is late")()
+    assert heard_of(said, "guarding -> fault: the control loop is late")()
     first = [(m.vx, m.vy, m.vz) for m in setpoints(link, at[0])[:5]]
     assert set(first) <= {(0.0, 0.0, 0.0)}

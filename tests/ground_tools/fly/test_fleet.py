@@ -68,13 +68,19 @@ ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4
     [
         (ARDUPILOT, "AUTO", {"AUTO"}, [FlightMode.HOLD], "holds at 20.0 m in BRAKE"),
         (ARDUPILOT, "GUIDED", {"GUIDED"}, [FlightMode.HOLD], "holds at 20.0 m in BRAKE"),
-        (ARDUPILOT, "GUIDED", {"AUTO"}, [], "flown by somebody else at 20.0 m and was left in GUIDED"),
-        (ARDUPILOT, "LOITER", {"AUTO"}, [], "flown by somebody else at 20.0 m and was left in LOITER"),
+        (ARDUPILOT, "GUIDED", {"AUTO"}, [], "flown by another operator at 20.0 m and was left in GUIDED"),
+        (ARDUPILOT, "LOITER", {"AUTO"}, [], "flown by another operator at 20.0 m and was left in LOITER"),
         (ARDUPILOT, "LAND", {"LAND"}, [], "descends at 20.0 m and was left in LAND"),
         (ARDUPILOT, "AUTO", set(), [], "received no command"),
         (PX4, "AUTO.MISSION", {"AUTO.MISSION"}, [FlightMode.HOLD], "holds at 20.0 m in AUTO.LOITER"),
         (PX4, "AUTO.LOITER", {"AUTO.MISSION"}, [], "holds at 20.0 m in AUTO.LOITER"),
-        (PX4, "OFFBOARD", {"AUTO.MISSION"}, [], "flown by somebody else at 20.0 m and was left in OFFBOARD"),
+        (
+            PX4,
+            "OFFBOARD",
+            {"AUTO.MISSION"},
+            [],
+            "flown by another operator at 20.0 m and was left in OFFBOARD",
+        ),
         (PX4, "AUTO.RTL", {"AUTO.MISSION"}, [], "descends at 20.0 m and was left in AUTO.RTL"),
     ],
 )
@@ -115,7 +121,7 @@ def test_one_that_is_silent_does_not_keep_the_others_from_being_made_safe():
     lost.ours = heard.ours = frozenset({"AUTO.MISSION"})
     lost.silent = True
     done = fleet_of(lost, heard).make_safe()
-    assert "its own failsafe decides" in done["vehicle 1"]
+    assert "its own failsafe applies" in done["vehicle 1"]
     assert heard.told == [FlightMode.HOLD]
 
 
@@ -125,7 +131,7 @@ def test_one_that_fails_in_a_way_of_its_own_does_not_either():
     broken.ours = heard.ours = frozenset({"AUTO.MISSION"})
     broken.set_mode = lambda _: broken.messages["none"]["such"]  # type: ignore[method-assign]
     done = fleet_of(broken, heard).make_safe()
-    assert "its own failsafe decides" in done["vehicle 1"]
+    assert "its own failsafe applies" in done["vehicle 1"]
     assert heard.told == [FlightMode.HOLD]
 
 

@@ -276,7 +276,7 @@ def test_the_vehicles_limits_are_read_before_it_is_taken(firmware):
     assert {p.name: p.value for p in found if p is not None} == names
     counts = pair.onboard.link.counts
     assert (counts.bad_values, pair.onboard.link.asking) == (0, False)
-    said = [c.text for c in pair.commands(Say) if "vehicle's limit counts" in c.text]
+    said = [c.text for c in pair.commands(Say) if "vehicle's limit applies" in c.text]
     assert len(said) == 1
     assert "limits.max_descent_mps 2" in said[0]
 
