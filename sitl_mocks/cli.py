@@ -37,7 +37,7 @@ COMMANDS: Final = (
     ("soak", "sitl_mocks.examinations.soak", "fly for hours with random faults, in virtual time"),
     (
         "takeover",
-        "sitl_mocks.examinations.takeover",
+        "sitl_mocks.examinations.takeover.command",
         "test thousands of short cases in which a pilot takes over during a fault",
     ),
 )

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO
 
 from companion.errors import ConfigError
-from sitl_mocks.examinations.swarm_faults import Examination
+from sitl_mocks.examinations.swarm.examination import Examination
 
 _END_S = 15.0
 

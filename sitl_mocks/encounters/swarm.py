@@ -2,7 +2,7 @@
 
 MAVLink and the air's datagrams use loopback. Positions come from the vehicles' own truth files, so that the
 verdict does not depend on the companions' estimates. With `--faults` each companion is examined while faults
-are injected (`swarm_faults`).
+are injected (`sitl_mocks.examinations.swarm`).
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from sitl_mocks.encounters.lockstep import HOME, companion_config, names_of, pat
 from sitl_mocks.encounters.processes import Process, Swarm
 from sitl_mocks.encounters.scenario_file import RANDOM, Scenario
 from sitl_mocks.encounters.swarm_report import limit_m, report_of, show
-from sitl_mocks.examinations import swarm_faults, swarm_schedule, swarm_verdict
 from sitl_mocks.examinations.faults import Fault
+from sitl_mocks.examinations.flights import BrokenRuleError
 from sitl_mocks.examinations.modelled_link import KINDS
 from sitl_mocks.examinations.shrink import moved, shortest
-from sitl_mocks.examinations.soak_flights import BrokenRuleError
-from sitl_mocks.examinations.swarm_faults import Examination, ServedVehicle
-from sitl_mocks.examinations.swarm_schedule import AircraftSchedule
+from sitl_mocks.examinations.swarm import verdict
+from sitl_mocks.examinations.swarm.examination import Examination, ServedVehicle, end_all
+from sitl_mocks.examinations.swarm.schedule import FIRST_S, AircraftSchedule, draw, from_file, to_file
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 
 _EXAMPLES = """examples:
@@ -137,7 +137,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         show(report, console)
         if plan.schedules:
-            swarm_verdict.show(report["faults"], console)  # type: ignore[arg-type]
+            verdict.show(report["faults"], console)  # type: ignore[arg-type]
     if plan.schedules and arguments.schedule is None:
         _shorten(folder, plan, report["faults"], arguments.tries, console)  # type: ignore[arg-type]
     console.print(f"run folder: {folder}", soft_wrap=True)
@@ -161,7 +161,7 @@ def _plan_of(arguments: argparse.Namespace) -> Plan:
         )
     numbers = tuple(range(len(paths_of(scenario, seed))))
     schedules = {
-        number: swarm_schedule.draw(seed, len(numbers), number, duration_s, arguments.link)
+        number: draw(seed, len(numbers), number, duration_s, arguments.link)
         for number in numbers
         if arguments.faults
     }
@@ -180,7 +180,7 @@ def read_schedule(path: Path) -> AircraftSchedule:
         raise ConfigError(f"--schedule: {path}: {error}") from error
     if not isinstance(value, dict):
         raise ConfigError(f"--schedule: {path}: the file is not a JSON object")
-    return swarm_schedule.from_file(value.get("schedule", value))
+    return from_file(value.get("schedule", value))
 
 
 def _alone(scenario: Scenario, schedule: AircraftSchedule) -> Plan:
@@ -214,7 +214,7 @@ def _shorten(folder: Path, plan: Plan, faults: dict[str, Any], tries: int, conso
         nonlocal tried
         tried += 1
         # Nothing needs to happen before the first fault but that the companion flies the vehicle.
-        early_s = max(0.0, min(fault.at_s for fault in some) - swarm_schedule.FIRST_S[0])
+        early_s = max(0.0, min(fault.at_s for fault in some) - FIRST_S[0])
         candidate = replace(schedule, faults=moved(some, -early_s), until_s=round(until_s - early_s, 3))
         console.print(f"shortening, try {tried} of {tries}: {len(some)} faults in {candidate.until_s:.1f} s")
         (report,) = fly_alone(folder / f"try-{tried}", plan.scenario, candidate).values()
@@ -224,10 +224,10 @@ def _shorten(folder: Path, plan: Plan, faults: dict[str, Any], tries: int, conso
         return BrokenRuleError(first["rule"], broken[0]["schedule_s"] + early_s, broken[0]["words"])
 
     some, until_s = shortest(schedule.faults, error, breaks, tries=tries, earliest_s=())
-    early_s = max(0.0, min((fault.at_s for fault in some), default=0.0) - swarm_schedule.FIRST_S[0])
+    early_s = max(0.0, min((fault.at_s for fault in some), default=0.0) - FIRST_S[0])
     short = replace(schedule, faults=moved(some, -early_s), until_s=round(until_s - early_s, 3))
     path = folder / f"{names[failed[0]]}.shortest.json"
-    write_json(path, swarm_schedule.to_file(short))
+    write_json(path, to_file(short))
     console.print(
         f"shortest schedule found in {tried} flights that breaks the rule {first['rule']}: {short}",
         highlight=False,
@@ -294,13 +294,13 @@ def _fly(swarm: Swarm, plan: Plan, names: list[str], console: Console) -> dict[s
     for examination in swarm.examinations:
         examination.rest()
     bad += swarm.end(companions)
-    results = swarm_faults.end_all(swarm.examinations, swarm.folder)
+    results = end_all(swarm.examinations, swarm.folder)
     bad += swarm.end(vehicles) + swarm.end([ether])
     left = {name: vehicle.last_json() for name, vehicle in zip(names, vehicles, strict=True)}
     report = report_of(
         swarm.folder, scenario, left, ether.last_json(), bad, start_utc_s, interrupted=interrupted
     )
-    return swarm_verdict.judged(report, results) if faults else report
+    return verdict.judged(report, results) if faults else report
 
 
 def _start_companion(

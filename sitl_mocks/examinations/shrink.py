@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Final
 
 from sitl_mocks.examinations.faults import Fault
-from sitl_mocks.examinations.soak_flights import BrokenRuleError
+from sitl_mocks.examinations.flights import BrokenRuleError
 
 Breaks = Callable[[tuple[Fault, ...], float], BrokenRuleError | None]
 """Flies entries until a time (s). Returns the error if the same rule is broken."""

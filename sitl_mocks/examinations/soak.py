@@ -25,11 +25,11 @@ import numpy as np
 from companion.errors import ConfigError
 from companion.events import Firmware
 from sitl_mocks.examinations.faults import Fault, drawn, from_json, to_json
+from sitl_mocks.examinations.flights import BrokenRuleError, Flights, Told
 from sitl_mocks.examinations.modelled_link import KINDS as LINKS
 from sitl_mocks.examinations.modelled_link import Kind, ModelledLink
 from sitl_mocks.examinations.schedule_file import read_schedule, write_schedule
 from sitl_mocks.examinations.shrink import shortest
-from sitl_mocks.examinations.soak_flights import BrokenRuleError, Flights, Told
 from sitl_mocks.examinations.world import Use
 
 _TROUBLES: Final = (

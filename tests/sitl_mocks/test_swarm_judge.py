@@ -18,8 +18,8 @@ from companion.config import LimitsConfig
 from companion.events import Firmware
 from companion.runtime.links.open_link import open_link
 from sitl_mocks.examinations.faults import Fault
-from sitl_mocks.examinations.swarm_faults import Examination, ServedVehicle
-from sitl_mocks.examinations.swarm_schedule import AircraftSchedule
+from sitl_mocks.examinations.swarm.examination import Examination, ServedVehicle
+from sitl_mocks.examinations.swarm.schedule import AircraftSchedule
 
 GUIDED = 4
 PATIENCE_S = 60.0

@@ -13,8 +13,8 @@ import time
 
 import pytest
 
-from sitl_mocks.examinations.companion_ends import TcpEnd
 from sitl_mocks.examinations.modelled_link import Weather
+from sitl_mocks.examinations.processes.companion_ends import TcpEnd
 
 CALM = Weather()
 PATIENCE_S = 30.0

@@ -9,7 +9,7 @@ from rich.console import Console
 from sitl_mocks.encounters import swarm
 from sitl_mocks.encounters.scenario_file import DEFAULT
 from sitl_mocks.examinations.faults import Fault
-from sitl_mocks.examinations.swarm_schedule import GIVEN_BACK, AircraftSchedule, from_file
+from sitl_mocks.examinations.swarm.schedule import GIVEN_BACK, AircraftSchedule, from_file
 
 FAULTS = (
     Fault("traffic", 0.0, 60.0, (50.0,)),

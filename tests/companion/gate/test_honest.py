@@ -8,7 +8,7 @@ import pytest
 
 from companion.events import Firmware
 from sitl_mocks.examinations.faults import Fault
-from sitl_mocks.examinations.soak_flights import Flights
+from sitl_mocks.examinations.flights import Flights
 
 SECONDS = 200.0
 TROUBLES = (

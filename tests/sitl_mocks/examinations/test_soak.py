@@ -20,8 +20,8 @@ from companion.ownship import Ownship
 from sitl_mocks import cli
 from sitl_mocks.examinations import soak
 from sitl_mocks.examinations.faults import KINDS, Fault, drawn, from_json, to_json
+from sitl_mocks.examinations.flights import BrokenRuleError, Flights
 from sitl_mocks.examinations.soak import Schedule, fly, from_file, schedule_of, shorten, to_file
-from sitl_mocks.examinations.soak_flights import BrokenRuleError, Flights
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 
 PAIRS = list(product(Firmware, ("guard", "fly")))

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from companion.events import Firmware
-from sitl_mocks.examinations.takeover_real import RealCase, fly_cases, real_case
+from sitl_mocks.examinations.takeover.real_cases import RealCase, fly_cases, real_case
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 
 RTL, LOITER, LAND = VehicleMode.RTL, VehicleMode.HOLD, VehicleMode.LAND

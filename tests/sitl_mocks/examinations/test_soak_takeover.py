@@ -12,9 +12,9 @@ from companion.errors import ConfigError
 from companion.events import Firmware
 from companion.gate.gate import Gate
 from sitl_mocks import cli
-from sitl_mocks.examinations import takeover
 from sitl_mocks.examinations.faults import Fault
-from sitl_mocks.examinations.takeover_cases import (
+from sitl_mocks.examinations.takeover import command as takeover
+from sitl_mocks.examinations.takeover.cases import (
     PAIRS,
     TROUBLES,
     Case,

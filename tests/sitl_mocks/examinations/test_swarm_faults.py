@@ -14,15 +14,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.errors import ConfigError
 from companion.events import Firmware
-from sitl_mocks.examinations import companion_ends, takeover_wire
-from sitl_mocks.examinations.decisions import Decisions
 from sitl_mocks.examinations.faults import OUTSIDE
 from sitl_mocks.examinations.modelled_link import KINDS
+from sitl_mocks.examinations.processes import companion_ends, wire
+from sitl_mocks.examinations.processes.decisions import Decisions
+from sitl_mocks.examinations.processes.wire import GRACE_S, Wire
 from sitl_mocks.examinations.rule_judge import Judge
-from sitl_mocks.examinations.swarm_schedule import GIVEN_BACK, draw, from_file, link_of, schedule_of, to_file
-from sitl_mocks.examinations.swarm_verdict import broken, judged
-from sitl_mocks.examinations.takeover_real import GRACE_S
-from sitl_mocks.examinations.takeover_wire import Wire
+from sitl_mocks.examinations.swarm.schedule import GIVEN_BACK, draw, from_file, link_of, schedule_of, to_file
+from sitl_mocks.examinations.swarm.verdict import broken, judged
 from sitl_mocks.examinations.world import bounds_of
 
 GUIDED, RTL = 4, 6
@@ -179,7 +178,7 @@ class Ends:
 @pytest.fixture
 def ends(monkeypatch):
     clock = SkippingClock()
-    for module in (takeover_wire, companion_ends):
+    for module in (wire, companion_ends):
         monkeypatch.setattr(module, "time", clock)
     with contextlib.ExitStack() as stack:
         found = Ends(stack, clock)

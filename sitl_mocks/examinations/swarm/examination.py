@@ -1,6 +1,6 @@
 """`sitl-mocks swarm --faults`: examine every companion while faults are injected around it.
 
-A router of ours (`takeover_wire`) stands between each vehicle and its companion. Companions are stopped
+A router (`processes.wire`) stands between each vehicle and its companion. Companions are stopped
 (SIGSTOP) and resumed. Vehicles answer mode requests wrongly. Pilots select modes on links of their own. The
 vehicle is then disarmed for a moment, which gives authority back, and the next round begins. A judge that
 uses only the bytes at the vehicle's end and the pilot's choices reports which rules were broken.
@@ -29,13 +29,12 @@ from companion.events import Firmware
 from companion.runtime.record.recorder import write_json
 from sitl_mocks.examinations.faults import Fault, begin_outside, end_outside, to_json
 from sitl_mocks.examinations.modelled_link import ModelledLink
-from sitl_mocks.examinations.pilot_link import ARM, PilotLink, mode_told
+from sitl_mocks.examinations.processes.pilot_link import ARM, PilotLink, mode_told
+from sitl_mocks.examinations.processes.stopped_process import StoppedProcess
+from sitl_mocks.examinations.processes.wire import CAUSE_S, GRACE_S, Wire
 from sitl_mocks.examinations.rule_judge import Breach, Judge
-from sitl_mocks.examinations.stopped_process import StoppedProcess
-from sitl_mocks.examinations.swarm_schedule import GIVEN_BACK, AircraftSchedule, to_file
-from sitl_mocks.examinations.swarm_verdict import Done
-from sitl_mocks.examinations.takeover_real import CAUSE_S, GRACE_S
-from sitl_mocks.examinations.takeover_wire import Wire
+from sitl_mocks.examinations.swarm.schedule import GIVEN_BACK, AircraftSchedule, to_file
+from sitl_mocks.examinations.swarm.verdict import Done
 from sitl_mocks.examinations.world import bounds_of
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 

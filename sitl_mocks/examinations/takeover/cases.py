@@ -18,10 +18,10 @@ import numpy as np
 from companion.errors import ConfigError
 from companion.events import Firmware
 from sitl_mocks.examinations.faults import Fault, drawn, from_json, to_json
+from sitl_mocks.examinations.flights import Flights
 from sitl_mocks.examinations.modelled_link import KINDS as LINKS
 from sitl_mocks.examinations.modelled_link import Kind, ModelledLink
 from sitl_mocks.examinations.rule_judge import Breach
-from sitl_mocks.examinations.soak_flights import Flights
 from sitl_mocks.examinations.world import Snapshot, Use, World
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 

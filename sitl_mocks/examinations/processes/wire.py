@@ -19,12 +19,16 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import CURRENT_MODE, Frame, FrameScanner
-from sitl_mocks.examinations.companion_ends import Left, datagrams, open_end, stamped_socket
-from sitl_mocks.examinations.decisions import AUTOPILOT, CLOCKS, Decisions
 from sitl_mocks.examinations.faults import others_frames
 from sitl_mocks.examinations.modelled_link import Kind, ModelledLink
+from sitl_mocks.examinations.processes.companion_ends import Left, datagrams, open_end, stamped_socket
+from sitl_mocks.examinations.processes.decisions import AUTOPILOT, CLOCKS, Decisions
 from sitl_mocks.examinations.rule_judge import Judge
 
+GRACE_S: Final = 0.15
+"""A step of the companion that was under way when the pilot's mode arrived may send for this long."""
+CAUSE_S: Final = 1.5
+"""A mode that the vehicle enters within this time after a request was caused by that request."""
 _HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 _WATCHED: Final = frozenset({_HEARTBEAT, CURRENT_MODE, *CLOCKS})
 """Messages of the autopilot for which the router must know whether they were delivered."""

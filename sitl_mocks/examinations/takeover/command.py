@@ -1,7 +1,7 @@
 """`sitl-mocks takeover`: checks that a mode selected by the pilot stays selected despite faults.
 
 It runs thousands of short cases in virtual time, each judged from the bytes at the vehicle's end
-(`rule_judge`), or fewer cases with real processes (`takeover_real`). A failing case is shortened as far as
+(`rule_judge`), or fewer cases with real processes (`real_cases`). A failing case is shortened as far as
 possible and written to a file.
 """
 
@@ -21,7 +21,7 @@ from typing import Final
 from companion.errors import ConfigError
 from sitl_mocks.examinations.rule_judge import Breach
 from sitl_mocks.examinations.schedule_file import read_schedule, write_schedule
-from sitl_mocks.examinations.takeover_cases import (
+from sitl_mocks.examinations.takeover.cases import (
     TROUBLES,
     Case,
     Verdict,
@@ -31,7 +31,7 @@ from sitl_mocks.examinations.takeover_cases import (
     shorter,
     to_schedule,
 )
-from sitl_mocks.examinations.takeover_real import PLACES, many_real
+from sitl_mocks.examinations.takeover.real_cases import PLACES, many_real
 
 _EXAMPLES: Final = """examples:
   sitl-mocks takeover --cases 100000 --seed 1 --jobs 2

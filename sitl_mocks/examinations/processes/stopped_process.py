@@ -10,8 +10,6 @@ from collections import deque
 from pathlib import Path
 from typing import Final
 
-from sitl_mocks.examinations.takeover_real import state_of
-
 _WAITED_EVERY_S = 0.25
 _AROUND_S: Final = (1.5, 0.25)
 
@@ -62,3 +60,8 @@ class StoppedProcess:
         before, after = _AROUND_S
         around = [waited for t, waited in self._waited if at_s - before <= t <= at_s + after]
         return round(max(around) - min(around), 3) if around else 0.0
+
+
+def state_of(pid: int) -> str:
+    """State of a process as the kernel reports it; "T" is stopped."""
+    return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]

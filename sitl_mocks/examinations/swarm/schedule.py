@@ -11,7 +11,7 @@ from companion.errors import ConfigError
 from sitl_mocks.examinations.faults import Fault, drawn, from_json, to_json
 from sitl_mocks.examinations.modelled_link import KINDS as LINKS
 from sitl_mocks.examinations.modelled_link import Kind
-from sitl_mocks.examinations.takeover_cases import PILOTS, TROUBLES
+from sitl_mocks.examinations.takeover.cases import PILOTS, TROUBLES
 
 GIVEN_BACK: Final = "given back"
 """Kind of event: disarmed and armed again in the air, by which a pilot gives authority anew."""

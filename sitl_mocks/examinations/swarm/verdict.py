@@ -8,7 +8,7 @@ from typing import Any, Final
 from rich.console import Console
 
 from sitl_mocks.examinations.faults import Fault, to_json
-from sitl_mocks.examinations.swarm_schedule import GIVEN_BACK
+from sitl_mocks.examinations.swarm.schedule import GIVEN_BACK
 
 _NUMBERS: Final = {
     "traffic": "({:.0f} other frames per second)",

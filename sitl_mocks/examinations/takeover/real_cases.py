@@ -1,6 +1,6 @@
 """`sitl-mocks takeover --real`: the takeover examination with real processes, sockets and signals.
 
-`companion run` and `sitl-mocks serve` are processes; a router of ours (`takeover_wire`) stands between them.
+`companion run` and `sitl-mocks serve` are processes; a router (`processes.wire`) stands between them.
 While the companion controls the vehicle, it is stopped (SIGSTOP), the pilot selects a mode on a second link,
 and the companion is resumed (SIGCONT). Disarming gives authority back, and the next case begins.
 """
@@ -25,15 +25,13 @@ import numpy as np
 
 from companion.events import Firmware
 from sitl_mocks.examinations.modelled_link import KINDS, Kind
-from sitl_mocks.examinations.pilot_link import ARM, SET_MODE, PilotLink
+from sitl_mocks.examinations.processes.pilot_link import ARM, SET_MODE, PilotLink
+from sitl_mocks.examinations.processes.stopped_process import state_of
+from sitl_mocks.examinations.processes.wire import CAUSE_S, GRACE_S, Wire
 from sitl_mocks.examinations.rule_judge import Breach, Judge
-from sitl_mocks.examinations.takeover_wire import Wire
 from sitl_mocks.examinations.world import bounds_of
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode
 
-GRACE_S: Final = 0.15
-"""A step of the companion that was under way when the pilot's mode arrived may send for this long."""
-CAUSE_S: Final = 1.5
 _READY_S = 60.0
 _RETAKEN_S = 25.0
 _DISARMED_S = 1.2
@@ -280,11 +278,6 @@ class RealFlight:
     def _show(self, custom_mode: int) -> None:
         self._mode = custom_mode
         self.judge.shows(time.monotonic(), custom_mode, armed=self._armed)
-
-
-def state_of(pid: int) -> str:
-    """State of a process as the kernel reports it; "T" is stopped."""
-    return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
