@@ -22,7 +22,7 @@ COMMANDS: Final = (
         "sitl_mocks.encounters.demo",
         "simulate an encounter in virtual time, with and without avoidance",
     ),
-    ("serve", "sitl_mocks.vehicle.server", "simulate one MAVLink vehicle on UDP or TCP"),
+    ("serve", "sitl_mocks.vehicle.real_time.server", "simulate one MAVLink vehicle on UDP or TCP"),
     ("ether", "sitl_mocks.air.server", "simulate the radio channel between aircraft, on UDP"),
     (
         "module",

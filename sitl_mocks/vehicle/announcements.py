@@ -7,8 +7,8 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_mocks.vehicle.firmware.behaviour import Manners, VehicleMode
-from sitl_mocks.vehicle.flight import Flight
 from sitl_mocks.vehicle.link_set import LinkSet
+from sitl_mocks.vehicle.motion.flight import Flight
 from sitl_mocks.vehicle.served.mission import MissionBook
 from sitl_mocks.vehicle.served.remote_id import RemoteIdRelay
 from sitl_mocks.vehicle.telemetry import Telemetry

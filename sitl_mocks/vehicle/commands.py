@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkMessage
 from sitl_mocks.vehicle.firmware.behaviour import Manners, VehicleMode
-from sitl_mocks.vehicle.flight import FORCE, Flight
 from sitl_mocks.vehicle.links import Link
+from sitl_mocks.vehicle.motion.flight import FORCE, Flight
 from sitl_mocks.vehicle.telemetry import Telemetry
 from sitl_mocks.vehicle.troubles import Answers
 

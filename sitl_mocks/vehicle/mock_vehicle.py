@@ -26,12 +26,13 @@ from companion.events import Landed
 from companion.geometry import LocalFrame, Vec3
 from sitl_mocks.vehicle.announcements import Announcer
 from sitl_mocks.vehicle.commands import LATE_S, Command, CommandDesk, read_command, told
-from sitl_mocks.vehicle.dynamics import STEP_S
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
-from sitl_mocks.vehicle.flight import Flight
 from sitl_mocks.vehicle.link_set import LinkSet
 from sitl_mocks.vehicle.links import Link, SetpointMessage
-from sitl_mocks.vehicle.navigation import NOISE_STEPS, NavigationError
+from sitl_mocks.vehicle.motion.dynamics import STEP_S
+from sitl_mocks.vehicle.motion.flight import Flight
+from sitl_mocks.vehicle.motion.navigation import NOISE_STEPS, NavigationError
+from sitl_mocks.vehicle.motion.setpoints import interpret
 from sitl_mocks.vehicle.options import VehicleOptions
 from sitl_mocks.vehicle.served.mission import (
     MissionBook,
@@ -44,7 +45,6 @@ from sitl_mocks.vehicle.served.mission import (
 from sitl_mocks.vehicle.served.mission_desk import MissionDesk
 from sitl_mocks.vehicle.served.params import ParamBook
 from sitl_mocks.vehicle.served.remote_id import ODID_MESSAGES, RemoteIdRelay
-from sitl_mocks.vehicle.setpoints import interpret
 from sitl_mocks.vehicle.telemetry import Telemetry
 from sitl_mocks.vehicle.traffic import Traffic
 from sitl_mocks.vehicle.troubles import Answers, Troubles

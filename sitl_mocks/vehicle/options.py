@@ -10,8 +10,8 @@ from companion.errors import ConfigError
 from companion.events import FenceArea, Firmware, MissionItem
 from companion.geofence import check_areas
 from companion.geometry import Vec3
-from sitl_mocks.vehicle.dynamics import Response
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, Manners, VehicleMode, with_quirks
+from sitl_mocks.vehicle.motion.dynamics import Response
 from sitl_mocks.vehicle.traffic import CrewedFlight
 
 _PLAIN_ACCELERATION_MPS2 = 2.5

@@ -16,9 +16,9 @@ from companion.autopilot.wire import CURRENT_MODE, MavlinkMessage
 from companion.events import Landed
 from companion.geometry import Vec3
 from sitl_mocks.vehicle.firmware.behaviour import Manners, VehicleMode
-from sitl_mocks.vehicle.flight import Flight
 from sitl_mocks.vehicle.links import Payload
-from sitl_mocks.vehicle.navigation import Globe, NavigationError
+from sitl_mocks.vehicle.motion.flight import Flight
+from sitl_mocks.vehicle.motion.navigation import Globe, NavigationError
 from sitl_mocks.vehicle.options import VehicleOptions
 from sitl_mocks.vehicle.served.mission import MissionBook
 from sitl_mocks.vehicle.served.remote_id import home_system, location

@@ -19,7 +19,7 @@ from companion.autopilot.wire import MavlinkMessage
 from companion.errors import ConfigError
 from companion.geometry import LocalFrame
 from sitl_mocks.vehicle.firmware.behaviour import Failsafe, Manners, VehicleMode
-from sitl_mocks.vehicle.flight import MANUAL_CONTROL_OFF, Flight
+from sitl_mocks.vehicle.motion.flight import MANUAL_CONTROL_OFF, Flight
 from sitl_mocks.vehicle.served.mission import CIRCLES, VERTICES, MissionBook
 from sitl_mocks.vehicle.served.params import ParamBook
 

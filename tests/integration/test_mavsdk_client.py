@@ -18,7 +18,7 @@ mavsdk = pytest.importorskip("mavsdk", reason="mavsdk is not installed")
 
 SERVE = """
 import argparse, sys
-from sitl_mocks.vehicle import server
+from sitl_mocks.vehicle.real_time import server
 parser = argparse.ArgumentParser()
 server.add_arguments(parser)
 sys.exit(server.run(parser.parse_args()))

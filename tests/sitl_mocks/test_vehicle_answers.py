@@ -14,7 +14,7 @@ from companion.errors import ConfigError
 from companion.events import Firmware
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle, VehicleOptions
-from sitl_mocks.vehicle.trouble_input import TroubleInput
+from sitl_mocks.vehicle.real_time.trouble_input import TroubleInput
 
 COMPANION, STATION = MavlinkWriter(1, 191), MavlinkWriter(255, 190)
 RIGHT = {Firmware.ARDUPILOT: [0], Firmware.PX4: [0, 0]}

@@ -13,7 +13,7 @@ from companion.autopilot.readers import unpack
 from companion.autopilot.wire import CURRENT_MODE, FrameScanner, MavlinkWriter
 from companion.events import Firmware
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode
-from sitl_mocks.vehicle.flight import FORCE
+from sitl_mocks.vehicle.motion.flight import FORCE
 
 SET_MODE: Final[int] = mavlink.MAV_CMD_DO_SET_MODE
 ARM: Final[int] = mavlink.MAV_CMD_COMPONENT_ARM_DISARM

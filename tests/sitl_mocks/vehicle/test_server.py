@@ -17,9 +17,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.errors import ConfigError
-from sitl_mocks.vehicle import server as vehicle_server
 from sitl_mocks.vehicle.mock_vehicle import VehicleOptions
-from sitl_mocks.vehicle.server import VehicleServer
+from sitl_mocks.vehicle.real_time import server as vehicle_server
+from sitl_mocks.vehicle.real_time.server import VehicleServer
 
 WRITER = MavlinkWriter(1, 191)
 

@@ -19,7 +19,7 @@ from companion.geometry import LocalFrame
 from sitl_mocks.vehicle.firmware.behaviour import PX4 as PX4_MANNERS
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.firmware.param_tables import INT32
-from sitl_mocks.vehicle.navigation import Globe
+from sitl_mocks.vehicle.motion.navigation import Globe
 from tests.support.place import HOME
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4

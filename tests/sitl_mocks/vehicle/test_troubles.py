@@ -12,7 +12,7 @@ from companion.errors import ConfigError
 from companion.events import FenceArea, Firmware, MissionItem
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode, with_quirks
 from sitl_mocks.vehicle.mock_vehicle import VehicleOptions
-from sitl_mocks.vehicle.server import options_of
+from sitl_mocks.vehicle.real_time.server import options_of
 from tests.support.place import HOME
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
@@ -351,7 +351,7 @@ def test_speed_of_the_mission_after_a_break(airborne, firmware, speed):
 def test_served_vehicle_takes_parameters_and_quirks():
     import argparse
 
-    from sitl_mocks.vehicle import server as vehicle_server
+    from sitl_mocks.vehicle.real_time import server as vehicle_server
 
     parser = argparse.ArgumentParser()
     vehicle_server.add_arguments(parser)

@@ -13,13 +13,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.events import Landed
 from companion.geometry import LocalFrame, Vec3
-from sitl_mocks.vehicle.dynamics import STEP_S, Body
 from sitl_mocks.vehicle.firmware.behaviour import Manners, VehicleMode
-from sitl_mocks.vehicle.guidance import HOVER, Homecoming, MissionRunner, Steering
+from sitl_mocks.vehicle.motion.dynamics import STEP_S, Body
+from sitl_mocks.vehicle.motion.guidance import HOVER, Homecoming, MissionRunner, Steering
+from sitl_mocks.vehicle.motion.setpoints import Setpoint
 from sitl_mocks.vehicle.options import VehicleOptions
 from sitl_mocks.vehicle.served.mission import MissionBook
 from sitl_mocks.vehicle.served.params import ParamBook
-from sitl_mocks.vehicle.setpoints import Setpoint
 
 FORCE = 21196.0
 """param2 of an arm or disarm command that overrides the checks."""

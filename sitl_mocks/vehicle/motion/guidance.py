@@ -8,8 +8,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.lists.list_download import GLOBAL_FRAMES
 from companion.geometry import LocalFrame, Vec3
-from sitl_mocks.vehicle.dynamics import Body
 from sitl_mocks.vehicle.firmware.behaviour import Manners
+from sitl_mocks.vehicle.motion.dynamics import Body
 from sitl_mocks.vehicle.served.mission import MissionBook, StoredItem
 
 HOVER: Vec3 = (0.0, 0.0, 0.0)

@@ -24,8 +24,8 @@ from sitl_mocks.signals import end_signals
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.mock_vehicle import STEP_S, MockVehicle
 from sitl_mocks.vehicle.options import VehicleOptions
-from sitl_mocks.vehicle.ports import Airframe, Port, open_port
-from sitl_mocks.vehicle.trouble_input import TroubleInput
+from sitl_mocks.vehicle.real_time.ports import Airframe, Port, open_port
+from sitl_mocks.vehicle.real_time.trouble_input import TroubleInput
 
 _TRUTH_PERIOD_S = 0.1
 _EXAMPLE = """examples:
