@@ -29,7 +29,8 @@ from companion.events import (
     VehicleParameters,
     VehicleTime,
 )
-from tests.companion.gate.hostile.oracle import Oracle, Terms, Told
+from tests.companion.gate.hostile.heard import Terms, Told
+from tests.companion.gate.hostile.oracle import Oracle
 from tests.support.place import HOME
 
 _LAT = HOME.to_geodetic(1.0, 0.0, 0.0)[0] - HOME.lat_deg

@@ -3,9 +3,6 @@
 import dataclasses
 import itertools
 import math
-import subprocess
-import sys
-from collections.abc import Iterable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,94 +12,25 @@ import numpy as np
 import pytest
 
 from companion.autopilot.tlog import TlogCounts
-from companion.config import Config, IdentityConfig
 from companion.errors import ConfigError
 from companion.event_record import Step
 from companion.events import (
     Decision,
-    Firmware,
-    FlightMode,
     GnssFix,
-    Heartbeat,
-    Landed,
-    LandedState,
     RemoteIdHeard,
     TransportsChosen,
 )
 from companion.remote_id.messages import Location
 from ground_tools.inspect.explain.why import HalfSpace
-from ground_tools.inspect.read.flown import flown, placed, separations
+from ground_tools.inspect.read.flown import flown, separations
 from ground_tools.inspect.read.link_health import ComponentHealth, LinkHealth
 from ground_tools.inspect.read.read_run import read_run
-from ground_tools.inspect.viewer import drawing, recording, scene, shapes, writer
-from ground_tools.inspect.viewer.blueprint import _axis, _separation, blueprint, nearest_m
-from ground_tools.inspect.viewer.palette import AUTHORITY, LEVELS, LIMIT
-from ground_tools.inspect.viewer.scene import PIECE_S, Aircraft, Encounter, Scene, first_encounter
+from ground_tools.inspect.viewer import drawing, recording, shapes, writer
+from ground_tools.inspect.viewer.blueprint import blueprint
+from ground_tools.inspect.viewer.palette import AUTHORITY, LEVELS
+from tests.ground_tools.inspect.viewer.reading import Read, packed, verify
 
 pytest.importorskip("rerun")
-
-WHOLE, ENCOUNTER = drawing.WHOLE, drawing.ENCOUNTER
-
-
-class Read:
-    """A recording's columns, by entity."""
-
-    def __init__(self, path: Path) -> None:
-        from rerun.chunk import RrdReader
-
-        self.batches: dict[str, list[Any]] = {}
-        self.static: dict[str, list[Any]] = {}
-        for chunk in RrdReader(path).stream().to_chunks():
-            place = self.static if chunk.is_static else self.batches
-            place.setdefault(str(chunk.entity_path), []).append(chunk.to_record_batch())
-
-    def column(self, entity: str, component: str, line: str = WHOLE) -> list[tuple[float, Any]]:
-        """(time, value) of every row, in order of time."""
-        rows = []
-        for batch in self.batches[entity]:
-            names = batch.schema.names
-            found = [n for n in names if n.endswith(f":{component}")]
-            if line not in names or not found:
-                continue
-            (name,) = found
-            times = [round(value.value * 1e-9, 6) for value in batch.column(line)]
-            rows += zip(times, batch.column(name).to_pylist(), strict=True)
-        return sorted(rows, key=lambda row: row[0])
-
-    def fixed(self, entity: str, component: str) -> Any:
-        """A component that holds for all rows."""
-        (value,) = [
-            batch.column(name)[0].as_py()
-            for batch in self.static[entity]
-            for name in batch.schema.names
-            if name.endswith(f":{component}")
-        ]
-        return value
-
-
-def packed(rgb: tuple[int, int, int]) -> int:
-    """As rerun stores a colour."""
-    red, green, blue = rgb
-    return red << 24 | green << 16 | blue << 8 | 255
-
-
-def verify(path: Path) -> subprocess.CompletedProcess[str]:
-    program = Path(sys.executable).with_name("rerun")
-    return subprocess.run(
-        [program, "rrd", "verify", path], capture_output=True, text=True, timeout=60, check=False
-    )
-
-
-@pytest.fixture(scope="module")
-def saved(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("recording") / "inspect.rrd"
-    recording.write(read_run(built), path)
-    return path
-
-
-@pytest.fixture(scope="module")
-def found(saved: Path) -> Read:
-    return Read(saved)
 
 
 def test_the_file_is_sound_and_the_check_would_notice_one_cut_off(saved: Path, tmp_path: Path) -> None:
@@ -214,137 +142,6 @@ def test_speeds_and_the_map(found: Read) -> None:
     assert lines[-1][-1] == pytest.approx([47.398349, 8.545], abs=1e-5)
 
 
-def test_the_encounter_counts_from_the_first_conflict_and_holds_what_lies_around_it(
-    found: Read, built: Path
-) -> None:
-    run = read_run(built)
-    conflicts = run.aircraft[0].facts.decisions
-    first = conflicts.now_s[conflicts.conflict][0]
-    rows = found.column("/aircraft/DMUCA001/own", "positions", ENCOUNTER)
-    whole = dict(found.column("/aircraft/DMUCA001/own", "positions"))
-    assert rows[0][0] == pytest.approx(-10.0, abs=0.1)
-    assert rows[-1][0] == pytest.approx(conflicts.now_s[conflicts.conflict][-1] + 20.0 - first, abs=0.2)
-    now = next(points for time, points in rows if abs(time) < 1e-6)
-    assert now == whole[first]
-    # States last: the one before the encounter stands at its start.
-    states = found.column("/authority/DMUCA001", "state", ENCOUNTER)
-    assert [(time, state) for time, (state,) in states] == [(-10.0, "watching"), (-10.0, "flying")]
-
-
-def test_every_line_stands_in_the_encounter_too(built: Path, tmp_path: Path) -> None:
-    """Which begins later than the run: distances are told up to where the next part begins."""
-    run = read_run(built)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recording, "first_encounter", lambda *_: Encounter(25.3, 30.0, 40.0, "the closest"))
-        recording.write(run, tmp_path / "one.rrd")
-    found = Read(tmp_path / "one.rrd")
-    lines = [entity for entity in found.batches if entity.startswith(("/separation/", "/speed/"))]
-    assert sum(entity.startswith("/separation/") for entity in lines) == 3
-    for entity in lines:
-        times = [time for time, _ in found.column(entity, "scalars", ENCOUNTER)]
-        assert times[0] < -3.5, entity
-        assert times[-1] > 9.0, entity
-
-
-@pytest.mark.parametrize(
-    ("conflicts", "bounds"),
-    [
-        ([50.0, 41.0, 60.0, 90.0, 150.0], (31.0, 41.0, 80.0)),
-        ([5.0], (-5.0, 5.0, 25.0)),
-        ([float(t) for t in range(0, 1000, 10)], (-10.0, 0.0, 300.0)),
-    ],
-)
-def test_an_encounter_ends_when_it_is_calm(conflicts: list[float], bounds: tuple[float, ...]) -> None:
-    one = first_encounter(np.array(conflicts), None)
-    assert one is not None
-    assert (one.start_s, one.zero_s, one.end_s) == bounds
-    assert first_encounter(np.zeros(0), None) is None
-
-
-def test_without_a_conflict_it_is_the_closest_approach(built: Path) -> None:
-    (pair,) = separations(flown(read_run(built)).paths)
-    one = first_encounter(np.zeros(0), pair)
-    assert one is not None
-    assert one.zero_s == pair.minimum_time_s
-    assert one.clipped(np.array([-100.0, 32.0, 100.0])) == pytest.approx([-40.0, 0.0, 40.0], abs=0.1)
-
-
-def test_pieces_end_at_the_encounters_ends() -> None:
-    """A piece is in the encounter or not, whole."""
-    one = Scene((0.0, 0.0, 0.0), (), first_encounter(np.array([40.0]), None))
-    time = np.arange(0.0, PIECE_S + 30.0, 0.5)
-    parts = one.pieces(time)
-    assert [time[part][0] for part in parts] == [0.0, 30.0, 60.5, PIECE_S]
-    assert [one.piece(time[part][0])[1] for part in parts] == [False, True, False, False]
-    for part in parts:
-        assert len({one.piece(t) for t in time[part]}) == 1
-
-
-def test_a_position_is_not_drawn_when_no_other_follows() -> None:
-    times, lengths = drawing.until_stale(np.array([0.0, 1.0, 9.0]), np.array([1, 2, 1]))
-    assert (times.tolist(), lengths.tolist()) == ([0.0, 1.0, 4.0, 9.0], [1, 2, 0, 1])
-
-
-def test_a_silence_across_pieces_is_blank(
-    tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Nothing from 25 to 35 s, and the pieces meet at 30 s."""
-    monkeypatch.setattr(scene, "PIECE_S", 30.0)
-    steps = [step for step in made.steps(made.northbound, made.eastbound(500.0)) if not 25 < step.now_s < 35]
-    made.write_events(tmp_path, "a", steps)
-    recording.write(read_run(tmp_path), tmp_path / "a.rrd")
-    rows = dict(Read(tmp_path / "a.rrd").column("/aircraft/a/own", "positions"))
-    blank = [time for time, points in rows.items() if not points]
-    assert blank == [pytest.approx(28.0), pytest.approx(63.0)]
-
-
-def test_what_is_written_at_once_is_bounded_and_nothing_is_lost(
-    tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """However long or full of tracks a piece of the time line is: 601 steps, and a track at 5 Hz."""
-    monkeypatch.setattr(recording, "MOST_TAKEN", 100)
-    made.write_events(tmp_path, "a", made.steps(made.northbound, made.eastbound(500.0)))
-    run = read_run(tmp_path)
-    lengths: list[int] = []
-    write = writer.Writer.steps
-
-    def counted(self: writer.Writer, name: str, steps: Iterable[Step]) -> None:
-        several = list(steps)
-        lengths.append(len(several))
-        write(self, name, several)
-
-    monkeypatch.setattr(writer.Writer, "steps", counted)
-    recording.write(run, tmp_path / "a.rrd")
-    assert sum(lengths) == 601
-    assert max(lengths) <= 100
-    assert len(lengths) >= 9
-    rows = Read(tmp_path / "a.rrd").column("/aircraft/a/own", "positions")
-    assert len([time for time, points in rows if points]) == 601
-
-
-def test_parts_of_a_line_are_sent_together_but_for_the_encounter(
-    tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The encounter is a part of its own; before and after it there are several pieces each."""
-    made.write_events(tmp_path, "a", made.steps(made.northbound, made.eastbound(500.0)))
-    run = read_run(tmp_path)
-    one = scene.Encounter(25.0, 30.0, 40.0, "the closest approach")
-    monkeypatch.setattr(recording, "first_encounter", lambda *_: one)
-    recording.write(run, tmp_path / "whole.rrd")
-    monkeypatch.setattr(scene, "PIECE_S", 4.0)
-    recording.write(run, tmp_path / "pieces.rrd")
-    monkeypatch.setattr(drawing, "HELD_ROWS", 1)
-    recording.write(run, tmp_path / "at_once.rrd")
-    whole, pieces, at_once = (Read(tmp_path / f"{name}.rrd") for name in ("whole", "pieces", "at_once"))
-    entity = "/speed/a/flown"
-    assert len(at_once.batches[entity]) > 15
-    assert len(pieces.batches[entity]) == 3
-    for line in (WHOLE, ENCOUNTER):
-        rows = pieces.column(entity, "scalars", line)
-        assert len(rows) > 50
-        assert rows == whole.column(entity, "scalars", line) == at_once.column(entity, "scalars", line)
-
-
 def test_a_run_with_one_aircraft_and_an_odd_name_is_drawn_too(tmp_path: Path, made: SimpleNamespace) -> None:
     made.write_events(tmp_path, "Åse's 1: x", made.steps(made.northbound, made.eastbound(20.0)))
     recording.write(read_run(tmp_path), tmp_path / "one.rrd")
@@ -384,36 +181,6 @@ def test_what_the_law_took_the_distance_to_be_is_drawn(found: Read) -> None:
     # The least of each second; closest at 32 s, when both are 10 m from where their paths would meet.
     assert min(rows.values()) == [pytest.approx(math.hypot(10.0, 10.0), abs=0.01)]
     assert rows[0.8] == [pytest.approx(math.dist((-146.0, 0.0), (20.0, -146.0)), abs=0.05)]
-
-
-def views(container: Any) -> list[str]:
-    """Names of the views in it, in order."""
-    if type(container).__name__ not in ("Horizontal", "Vertical", "Tabs"):
-        return [str(container.name)]
-    return [name for part in container.contents for name in views(part)]
-
-
-def test_only_views_with_something_to_show_are_there(built: Path) -> None:
-    run = read_run(built)
-    pair = separations(flown(run).paths)
-    with_law = Aircraft("a", (1, 2, 3), config=Config(identity=IdentityConfig(uas_id="a")))
-    scenes = Scene((0.0, 0.0, 0.0), (with_law,)), Scene((0.0, 0.0, 0.0), (Aircraft("a", (1, 2, 3)),))
-    space = ["In space", "Map (tiles come from the network)"]
-    texts = ["Events", "How to read this"]
-    seen = ["Distance to heard traffic (m)", "Age of information (s)"]
-    plots = ["Speed (m/s)", "Link (lost/s; dBm)"]
-    lanes = ["Authority", "Autopilot mode", "Alert level", "On the air", "Chosen transports"]
-    limit = f"Separation (m); limit {pair[0].required_m:g} m"
-    assert views(blueprint(scenes[0], pair, None).root_container) == [
-        *(*space, *texts, limit),
-        *(*seen, *plots, *lanes),
-    ]
-    alone = blueprint(scenes[0], (), None, live=True)
-    assert views(alone.root_container) == [*space, *texts, *seen, *plots, *lanes]
-    foreign = blueprint(scenes[1], (), None)
-    assert views(foreign.root_container) == [*space, *texts, *plots, "Autopilot mode"]
-    bench = blueprint(scenes[1], (), None, placed=False)
-    assert views(bench.root_container) == [*plots, "Autopilot mode", *texts]
 
 
 def test_who_chose_the_transports_is_a_lane(tmp_path: Path, made: SimpleNamespace) -> None:
@@ -493,71 +260,6 @@ def test_without_positions_the_rest_is_drawn(
     assert type(plans[0].root_container).__name__ == "Vertical"
 
 
-# ---------------------------------------------------------------- several runs
-
-
-def taking_off(steps: list[Step], at_s: float) -> list[Step]:
-    """The same, armed at the start and in the air from a time on; no law that flies a path at a UTC."""
-    armed = Heartbeat(
-        system_id=1, firmware=Firmware.PX4, vehicle_type=2, custom_mode=0, mode=FlightMode.OTHER, armed=True
-    )
-    changed = []
-    for step in steps:
-        landed = Landed.IN_AIR if step.now_s >= at_s else Landed.ON_GROUND
-        events = (armed, LandedState(landed=landed), *step.events)
-        changed.append(msgspec.structs.replace(step, events=events))
-    return changed
-
-
-def test_runs_are_compared_from_their_take_off(tmp_path: Path, made: SimpleNamespace) -> None:
-    """The same flight, which one record begins to count 100 s later; in the air 7 s after its start."""
-    for name, clock_s in (("first", 0.0), ("second", 100.0)):
-        steps = made.steps(made.northbound, made.eastbound(20.0), clock_s, utc=False)
-        made.write_events(tmp_path / name, "a", taking_off(steps, clock_s + 7.0))
-    runs = [read_run(tmp_path / name) for name in ("first", "second")]
-    recording.write_comparison(runs, tmp_path / "both.rrd")
-    assert verify(tmp_path / "both.rrd").returncode == 0
-    found = Read(tmp_path / "both.rrd")
-    one, two = (found.column(f"/runs/{name}/aircraft/a/own", "positions") for name in ("first", "second"))
-    assert one[0][0] == pytest.approx(-7.0)
-    assert [time for time, _ in one] == pytest.approx([time for time, _ in two], abs=1e-6)
-    assert [points for _, points in one[:-1]] == [points for _, points in two[:-1]]
-    shades = {found.fixed(f"/runs/{name}/aircraft/a/own", "colors")[0] for name in ("first", "second")}
-    assert len(shades) == 2
-    assert packed(LIMIT) not in shades
-    assert found.fixed("/runs/second/speed/a/flown", "names") == ["second a flown"]
-    texts = [text for _, (text,) in found.column("/runs/second/events/a", "text")]
-    assert all(text.startswith("second a: ") for text in texts)
-
-
-def test_runs_of_timed_paths_are_compared_from_the_paths_start(tmp_path: Path, made: SimpleNamespace) -> None:
-    for name, start_s in (("first", 10.0), ("second", 20.0)):
-        steps = made.steps(made.northbound, made.eastbound(20.0))
-        made.write_events(tmp_path / name, "a", taking_off(steps, 7.0), start_utc_s=made.utc_s + start_s)
-    runs = [read_run(tmp_path / name) for name in ("first", "second")]
-    recording.write_comparison(runs, tmp_path / "both.rrd")
-    found = Read(tmp_path / "both.rrd")
-    starts = [found.column(f"/runs/{name}/speed/a/flown", "scalars")[0][0] for name in ("first", "second")]
-    assert starts == [pytest.approx(-10.0), pytest.approx(-20.0)]
-
-
-def test_runs_are_drawn_in_one_frame_and_told_apart(run_folder: Path, tmp_path: Path) -> None:
-    """A run and itself: what is drawn of both lies in the same places."""
-    recording.write_comparison([read_run(run_folder)] * 2, tmp_path / "both.rrd")
-    found = Read(tmp_path / "both.rrd")
-    name = "/runs/20260101T000000Z\\-demo"
-    roots = sorted({entity.rsplit("/aircraft")[0] for entity in found.batches if "/aircraft" in entity})
-    assert len(roots) == 2
-    first, second = (found.column(f"{root}/aircraft/DMUCA002/predicted", "positions") for root in roots)
-    assert first == second
-    assert any(root.startswith(name.split("\\")[0]) for root in roots)
-
-
-def test_one_run_is_no_comparison(run_folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="at least two runs"):
-        recording.write_comparison([read_run(run_folder)], tmp_path / "one.rrd")
-
-
 def test_the_greatest_age_of_each_time_is_drawn(tmp_path: Path, made: SimpleNamespace) -> None:
     """0.5 s, but for one decision at 22 s."""
 
@@ -604,53 +306,3 @@ def test_a_half_spaces_square_lies_on_its_plane_and_points_to_what_is_allowed() 
     assert line[1:] @ np.array(space.normal_ned) == pytest.approx(2.0)
     assert line[0] @ np.array(space.normal_ned) > 2.0
     assert line[1] == pytest.approx(velocity + (2.0 - 2.6) * np.array(space.normal_ned))
-
-
-def test_what_a_run_opens_on_is_seen_whole(tmp_path: Path, built: Path, made: SimpleNamespace) -> None:
-    """One aircraft alone: all of its path. Several: from where they are when the encounter begins."""
-    made.write_events(tmp_path, "a", made.steps(made.northbound, made.eastbound(20.0)))
-    ways = placed(read_run(tmp_path))
-    look = recording._look(ways, (), None)
-    assert look is not None
-    away = np.linalg.norm(ways.paths[0].position_ned_m - look.centre_ned_m, axis=1)
-    assert away.max() <= look.radius_m + 1e-6 < 1.01 * away.max()
-
-    ways = placed(read_run(built))
-    pairs = tuple(separations(ways.paths))
-    encounter = Encounter(5.0, 30.0, 50.0, "the first conflict")
-    look = recording._look(ways, pairs, encounter)
-    assert look is not None
-    begin = [[np.interp(5.0, path.time_s, axis) for axis in path.position_ned_m.T] for path in ways.paths]
-    assert max(np.linalg.norm(np.array(begin) - look.centre_ned_m, axis=1)) <= look.radius_m + 1e-6
-
-
-@pytest.mark.parametrize(
-    ("encounter", "seconds"),
-    [
-        (None, (25, 60)),
-        (Encounter(20.0, 30.0, 50.0, ""), (-5, 20)),
-        (Encounter(30.0, 40.0, 80.0, ""), (-10, 20)),
-    ],
-)
-def test_plots_show_the_encounter_as_far_as_there_is_a_run(
-    encounter: Encounter | None, seconds: tuple[int, int]
-) -> None:
-    import rerun.blueprint as rrb
-
-    axis = _axis(rrb, Scene((0.0, 0.0, 0.0), (), encounter, span_s=(25.0, 60.0)))
-    ((shown,),) = [axis.view_range.as_arrow_array().to_pylist()]
-    assert (shown["start"], shown["end"]) == tuple(1_000_000_000 * value for value in seconds)
-    assert _axis(rrb, Scene((0.0, 0.0, 0.0), ())) is None
-
-
-def test_a_plot_reaches_to_pairs_that_stay_far_apart(built: Path) -> None:
-    """Limit 10 m: to 60 m, or to half as far again as the closest pair came."""
-    import rerun.blueprint as rrb
-
-    bare = Scene((0.0, 0.0, 0.0), ())
-    for closest_m, top in ((14.0, 60.0), (200.0, 300.0)):
-        axis = _separation(rrb, bare, 10.0, closest_m, "/separation/**").properties["ScalarAxis"]
-        assert axis.range.as_arrow_array().to_pylist() == [[0.0, top]]
-    pairs = separations(flown(read_run(built)).paths)
-    assert nearest_m(pairs) == pytest.approx(20.0 / math.sqrt(2.0), abs=0.01)
-    assert nearest_m(()) == 0.0

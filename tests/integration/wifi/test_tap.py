@@ -1,24 +1,15 @@
-"""The Wi-Fi radio with real parts: a TAP device that hands out radiotap, tshark as receiver, a real hostapd.
+"""The Wi-Fi radio on a TAP device that hands out radiotap, with tshark as receiver.
 
-They need root, /dev/net/tun, tshark and hostapd; the reason of a skip names what is missing.
+They need root, /dev/net/tun and tshark; the reason of a skip names what is missing.
 """
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import itertools
 import os
-import re
-import select
-import shutil
-import signal
-import socket
 import struct
 import subprocess
-import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -37,134 +28,22 @@ from companion.remote_id.frames import (
     build_vendor_element,
     parse_wifi,
 )
-from companion.remote_id.messages import (
-    Authentication,
-    BasicId,
-    IdType,
-    Location,
-    Message,
-    OperatorId,
-    SelfId,
-    Status,
-    System,
-    UaType,
-)
-
-PATIENCE_S = 20.0
-TUN = Path("/dev/net/tun")
-IFF_TAP, IFF_NO_PI, IFF_UP = 0x0002, 0x1000, 0x1
-TUNSETIFF, TUNSETLINK = 0x400454CA, 0x400454CD
-SIOCGIFFLAGS, SIOCSIFFLAGS = 0x8913, 0x8914
-RADIOTAP_LINK = 803
-
-OWN = "c2:01:02:03:04:05"
-OTHER = "c2:00:00:00:00:01"
-LOCATION = Location(status=Status.AIRBORNE, lat_deg=47.5, lon_deg=8.5, alt_geodetic_m=500.0)
-BASIC_ID = BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id="DMUCA0001")
-SELF_ID = SelfId(description_type=0, text="survey")
-FULL: tuple[Message, ...] = (
+from tests.integration.wifi.parts import (
     BASIC_ID,
+    FULL,
     LOCATION,
+    OTHER,
+    OWN,
+    PATIENCE_S,
+    RADIOTAP_LINK,
     SELF_ID,
-    System(operator_lat_deg=47.5, operator_lon_deg=8.5),
-    OperatorId(operator_id_type=0, operator_id="FIN87astrdge12k8"),
-    *(Authentication(auth_type=1, page=page, data=bytes([page]) * 23) for page in range(1, 5)),
+    Tap,
+    captured,
+    hear,
+    needs_tap,
+    needs_tshark,
+    until,
 )
-
-needs_tap = pytest.mark.skipif(
-    os.geteuid() != 0 or not os.access(TUN, os.R_OK | os.W_OK),
-    reason="REAL PART MISSING: a radio of TAP needs root" + ("" if TUN.exists() else " and /dev/net/tun"),
-)
-needs_tshark = pytest.mark.skipif(
-    shutil.which("tshark") is None, reason="REAL PART MISSING: tshark (Debian package tshark)"
-)
-HOSTAPD = shutil.which("hostapd", path=os.environ.get("PATH", os.defpath) + ":/usr/sbin")
-needs_hostapd = pytest.mark.skipif(
-    HOSTAPD is None, reason="REAL PART MISSING: hostapd (Debian package hostapd)"
-)
-
-
-def until(found: Callable[[], object], what: str) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not found():
-        assert time.monotonic() < end, f"{what} never came"
-        time.sleep(0.02)
-
-
-class Tap:
-    """A TAP device whose link type is radiotap: what is read and written here is what goes over the air."""
-
-    def __init__(self, link: int = RADIOTAP_LINK) -> None:
-        self.fd = os.open(TUN, os.O_RDWR | os.O_NONBLOCK)
-        # The kernel takes the next free number, so that tests side by side do not meet.
-        request = struct.pack("16sH22x", b"ridair%d", IFF_TAP | IFF_NO_PI)
-        self.name = fcntl.ioctl(self.fd, TUNSETIFF, request)[:16].rstrip(b"\0").decode()
-        fcntl.ioctl(self.fd, TUNSETLINK, link)
-
-    def set_up(self, up: bool) -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
-            request = struct.pack("16sH22x", self.name.encode(), 0)
-            flags = struct.unpack_from("H", fcntl.ioctl(control, SIOCGIFFLAGS, request), 16)[0]
-            flags = flags | IFF_UP if up else flags & ~IFF_UP
-            fcntl.ioctl(control, SIOCSIFFLAGS, struct.pack("16sH22x", self.name.encode(), flags))
-
-    def sent(self, count: int) -> list[bytes]:
-        """The next frames that went on the air; the kernel's own traffic (no radiotap) is left out."""
-        frames: list[bytes] = []
-        while len(frames) < count:
-            assert select.select([self.fd], [], [], PATIENCE_S)[0], f"{count - len(frames)} frames never came"
-            frames += self.waiting()
-        assert len(frames) == count
-        return frames
-
-    def waiting(self) -> list[bytes]:
-        frames = []
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                data = os.read(self.fd, 4096)
-                if data.startswith(b"\0\0\x0c\0"):
-                    frames.append(data)
-        return frames
-
-    def put(self, data: bytes) -> None:
-        os.write(self.fd, data)
-
-    def close(self) -> None:
-        with contextlib.suppress(OSError):
-            os.close(self.fd)
-
-
-@pytest.fixture
-def tap() -> Iterator[Tap]:
-    tap = Tap()
-    tap.set_up(True)
-    yield tap
-    tap.close()
-
-
-@pytest.fixture
-def radio(tap: Tap) -> Iterator[WifiTransport]:
-    transport = WifiTransport(WifiRadio(inject=tap.name, monitor=tap.name), OWN)
-    yield transport
-    transport.close()
-
-
-def hear(radio: WifiTransport, count: int) -> list[RemoteIdHeard]:
-    heard: list[RemoteIdHeard] = []
-
-    def enough() -> bool:
-        heard.extend(radio.heard(0.0))
-        return len(heard) >= count
-
-    until(enough, f"{count} frames")
-    return heard
-
-
-def captured(frame: bytes, *, flags: int = 0, rssi_dbm: int = -61, mhz: int = 2437) -> bytes:
-    """A frame as a monitor interface hands it out: flags, rate, channel, signal."""
-    fields = struct.pack("<BBHHb", flags, 2, mhz, 0xA0, rssi_dbm)
-    return struct.pack("<BBHI", 0, 0, 8 + len(fields), 0b101110) + fields + frame
-
 
 # ---------------------------------------------------------------- TAP
 
@@ -450,126 +329,3 @@ def test_tshark_sees_what_we_send(tap: Tap, radio: WifiTransport, tmp_path: Path
     assert {row["nan.sdea.service_update_indicator"] for row in nan} == {"", "0"}
     numbers = [int(row["wlan.seq"]) for row in rows]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-
-
-# ---------------------------------------------------------------- hostapd
-
-
-class Hostapd:
-    """A hostapd without a card: its driver does nothing, all the rest is real."""
-
-    interface = "rid0"
-
-    def __init__(self, folder: Path) -> None:
-        self.log = folder / "log.txt"
-        self.path = folder / "control" / self.interface
-        self._configuration = folder / "hostapd.conf"
-        self._configuration.write_text(
-            f"interface={self.interface}\ndriver=none\nctrl_interface={self.path.parent}\nssid=RID\n"
-        )
-        self.start()
-
-    def start(self) -> None:
-        assert HOSTAPD is not None
-        with self.log.open("a") as log:
-            command = [HOSTAPD, "-d", str(self._configuration)]
-            self.process = subprocess.Popen(command, stdout=log, stderr=log)
-        until(self.path.exists, "hostapd's socket")
-
-    def set_elements(self) -> list[str]:
-        """The elements that it was given so far, as it logs them."""
-        return re.findall(r"CTRL_IFACE SET 'vendor_elements'='(\w*)'", self.log.read_text(errors="replace"))
-
-    def stop(self) -> None:
-        self.process.send_signal(signal.SIGCONT)
-        self.process.terminate()
-        self.process.wait(PATIENCE_S)
-
-
-@pytest.fixture
-def hostapd() -> Iterator[Hostapd]:
-    folder = Path(tempfile.mkdtemp(prefix="rid-"))  # paths of sockets must be short
-    hostapd = Hostapd(folder)
-    yield hostapd
-    hostapd.stop()
-    shutil.rmtree(folder)
-
-
-@needs_hostapd
-def test_hostapd_takes_a_pack_of_nine(hostapd: Hostapd) -> None:
-    radio = WifiTransport(WifiRadio(hostapd=str(hostapd.path), channel=6), OWN)
-    assert (radio.capabilities, radio.hears) == ({"wifi"}, frozenset())
-    assert radio.own_addresses == frozenset()  # this driver has no BSSID to tell
-    assert radio.wifi_channel == 6
-    for number, messages in enumerate((FULL, (LOCATION,)), start=1):
-        radio.broadcast("wifi", messages, float(number))
-
-        def taken(number: int = number) -> bool:
-            radio.heard(float(number))
-            return radio.health(float(number)).frames_sent == number
-
-        until(taken, "OK")
-    health = radio.health(2.0)
-    assert (health.ok, health.can_send, health.missing) == (True, {"wifi"}, ())
-    with pytest.raises(ValueError, match="nan"):
-        radio.broadcast("nan", FULL, 2.0)
-    with pytest.raises(ValueError, match="10 messages"):
-        radio.broadcast("wifi", (*FULL, SELF_ID), 2.0)
-    radio.broadcast("wifi", (), 2.0)
-    radio.close()
-    expected = [build_vendor_element(encode_pack(m), n).hex() for n, m in enumerate((FULL, (LOCATION,)))]
-    until(lambda: len(hostapd.set_elements()) == 3, "the clearing")
-    assert hostapd.set_elements() == [*expected, ""]
-
-
-@needs_hostapd
-def test_a_hostapd_that_dies_and_returns(hostapd: Hostapd) -> None:
-    radio = WifiTransport(WifiRadio(hostapd=str(hostapd.path)), OWN)
-    radio.broadcast("wifi", FULL, 0.0)
-    radio.heard(0.0)
-    hostapd.stop()
-    radio.heard(1.0)
-    radio.broadcast("wifi", FULL, 1.0)
-    health = radio.health(1.0)
-    assert (health.ok, health.can_send) == (False, frozenset())
-    assert "check that hostapd runs" in health.text
-    hostapd.start()
-    seconds = itertools.count(2.0, 0.1)
-    until(lambda: radio.heard(next(seconds)) or radio.health(0.0).ok, "the recovery")
-    assert radio.health(0.0).can_send == {"wifi"}
-    radio.close()
-
-
-@needs_hostapd
-def test_a_hostapd_that_hangs_and_goes_on(hostapd: Hostapd) -> None:
-    radio = WifiTransport(WifiRadio(hostapd=str(hostapd.path)), OWN)
-    hostapd.process.send_signal(signal.SIGSTOP)
-    radio.broadcast("wifi", FULL, 0.0)
-    radio.heard(2.5)
-    health = radio.health(2.5)
-    assert (health.ok, health.can_send) == (False, frozenset())
-    assert "no answer to" in health.text
-    hostapd.process.send_signal(signal.SIGCONT)
-    seconds = itertools.count(4.0, 0.1)
-    until(lambda: radio.heard(next(seconds)) or radio.health(0.0).ok, "the recovery")
-    # What it was given before it hung would be old by now: it is off the air before we send again.
-    element = build_vendor_element(encode_pack(FULL), 0)
-    until(lambda: hostapd.set_elements()[-1] == "", "the clearing")
-    assert hostapd.set_elements() == [element.hex(), ""]
-    radio.close()
-
-
-@needs_tap
-@needs_hostapd
-def test_injection_steps_in_for_a_lost_hostapd(hostapd: Hostapd, tap: Tap) -> None:
-    radio = WifiTransport(WifiRadio(hostapd=str(hostapd.path), inject=tap.name), OWN)
-    radio.broadcast("wifi", (SELF_ID,), 0.0)
-    assert tap.waiting() == []
-    hostapd.stop()
-    radio.heard(1.0)
-    radio.broadcast("wifi", (SELF_ID,), 1.0)
-    (data,) = tap.sent(1)
-    assert parse_wifi(parse_radiotap(data).frame).address == OWN
-    assert radio.health(1.0).can_send == {"wifi", "nan"}
-    assert not radio.health(1.0).ok
-    radio.close()
