@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections import Counter
 from functools import cache
 from pathlib import Path
 from typing import get_args
@@ -56,6 +57,8 @@ ROOMS = [
 DECLARED = {"radio_sections": r"companion\.radio\.((\w+\.)?section|registry)\b"}
 """Rooms whose files stand in the folder of a later room: what the configuration knows of each radio, which
 its driver uses."""
+MOST_LINES, MOST_MODULES = 450, 16
+"""Largest file, and most modules in one folder, `__init__.py` not counted."""
 SOCKETS_AND_CLOCKS = {"socket", "time", "select", "serial", "threading", "subprocess", "random"}
 SHELLS = {
     "companion/runtime",
@@ -129,6 +132,19 @@ def test_no_circle_of_files():
         for name in done:
             del graph[name]
     assert not graph, "each of these imports another one of them"
+
+
+def test_no_file_and_no_folder_is_too_large():
+    """A file has one subject, and a folder can be read as a list."""
+    for package in FORBIDDEN:
+        files = sorted((ROOT / package).rglob("*.py"))
+        long = {
+            str(f.relative_to(ROOT)): n for f in files if (n := len(f.read_text().splitlines())) > MOST_LINES
+        }
+        assert not long, "split these files"
+        modules_in = Counter(str(f.parent.relative_to(ROOT)) for f in files if f.name != "__init__.py")
+        full = {folder: n for folder, n in modules_in.items() if n > MOST_MODULES}
+        assert not full, "split these folders"
 
 
 def module_name(path: Path) -> str:
