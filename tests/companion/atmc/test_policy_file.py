@@ -150,8 +150,8 @@ DAMAGES = {
     "tensor missing": (with_tensor("rho1.bias", lambda t: None), "checksum differs"),
     "tensor changed": (with_tensor("rho1.bias", poked(3.0)), "checksum differs"),
     "metadata changed": (with_meta(switch_price=0.125), "checksum differs"),
-    "NaN": (with_tensor("phi0.weight", poked(np.nan)), "phi0.weight: not finite"),
-    "infinite": (with_tensor("out.bias", poked(-np.inf)), "out.bias: not finite"),
+    "NaN": (with_tensor("phi0.weight", poked(np.nan)), "phi0.weight: holds values that are not finite"),
+    "infinite": (with_tensor("out.bias", poked(-np.inf)), "out.bias: holds values that are not finite"),
     "float64": (with_tensor("rho0.weight", lambda t: t.astype(np.float64)), "rho0.weight: type F64"),
     "float16": (with_tensor("rho0.weight", lambda t: t.astype(np.float16)), "rho0.weight: type F16"),
     "integers": (with_tensor("rho0.weight", lambda t: t.astype(np.int32)), "rho0.weight: type I32"),
@@ -230,7 +230,7 @@ def test_other_values_than_the_golden_ones_are_refused():
         q = (case.q[0] + by * max(1.0, abs(case.q[0])), *case.q[1:])
         wrong = msgspec.structs.replace(meta, golden=(msgspec.structs.replace(case, q=q),))
         if refused:
-            with pytest.raises(PolicyError, match=r"golden\[0\]: gives other values"):
+            with pytest.raises(PolicyError, match=r"golden\[0\]: its outputs differ"):
                 encode(wrong, parts)
         else:
             encode(wrong, parts)

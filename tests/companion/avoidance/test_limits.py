@@ -188,7 +188,7 @@ def test_it_is_said_once_and_again_only_when_it_changes(make_bench) -> None:
             {},
             "COM_OBL_RC_ACT 6: without setpoints the vehicle",
         ),
-        (told(Firmware.PX4, loss_action=("COM_OBL_RC_ACT", 7)), {}, "no setpoints disarms"),
+        (told(Firmware.PX4, loss_action=("COM_OBL_RC_ACT", 7)), {}, "without setpoints the vehicle disarms"),
         (told(Firmware.PX4, loss_action=("COM_OBL_RC_ACT", 3)), {}, None),
         (told(fence_action=("FENCE_ENABLE", 0)), {"fence": "vehicle"}, "FENCE_ENABLE 0: the vehicle itself"),
         (told(fence_action=("FENCE_ENABLE", 0)), {}, None),
