@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from companion.arrays import Bools
+from companion.arrays import AnyFloats, Bools
 from companion.atmc.actions import Action
-
-Floats = NDArray[np.floating[Any]]
 
 
 class Why(enum.Enum):
@@ -53,7 +48,12 @@ class Mind(Protocol):
         ...
 
     def choose(
-        self, own_row: Floats, neighbour_rows: Floats, allowed: Bools, current: int | None, agent: int = 0
+        self,
+        own_row: AnyFloats,
+        neighbour_rows: AnyFloats,
+        allowed: Bools,
+        current: int | None,
+        agent: int = 0,
     ) -> Choice | Refused:
         """Choose the action to use now.
 

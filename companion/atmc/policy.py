@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from companion.arrays import Bools, Float32s
+from companion.arrays import AnyFloats, Bools, Float32s
 from companion.atmc.actions import Action
-from companion.atmc.choice import Choice, Floats, Refused, Why
+from companion.atmc.choice import Choice, Refused, Why
 from companion.atmc.networks import FlatNetwork, Network, PolicyError, SetNetwork, Tensors
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
 from companion.atmc.policy_file import MAX_BYTES, Bounds, Golden, Metadata, read, write
@@ -66,7 +66,7 @@ class Policy:
         """All actions that it can choose."""
         return self._actions
 
-    def values(self, own_row: Floats, neighbour_rows: Floats, agent: int = 0) -> Float32s:
+    def values(self, own_row: AnyFloats, neighbour_rows: AnyFloats, agent: int = 0) -> Float32s:
         """Q of each action, shape (actions,). Higher is better; the unit is seconds of cost.
 
         Args:
@@ -78,7 +78,12 @@ class Policy:
         return self._values(*self._selected(own_row, neighbour_rows), agent)
 
     def choose(
-        self, own_row: Floats, neighbour_rows: Floats, allowed: Bools, current: int | None, agent: int = 0
+        self,
+        own_row: AnyFloats,
+        neighbour_rows: AnyFloats,
+        allowed: Bools,
+        current: int | None,
+        agent: int = 0,
     ) -> Choice | Refused:
         """See `Mind`. Neighbours farther away than any in training are ignored. Refuses observations outside
         the range of training, and network outputs that are not finite."""
@@ -105,7 +110,7 @@ class Policy:
         index = int(np.where(allowed, q, -np.inf).argmax())
         return Choice(index, self._actions[index])
 
-    def _selected(self, own_row: Floats, neighbour_rows: Floats) -> tuple[Float32s, Float32s]:
+    def _selected(self, own_row: AnyFloats, neighbour_rows: AnyFloats) -> tuple[Float32s, Float32s]:
         """Columns that the network uses; for a flat network only the nearest neighbours, nearest first."""
         if self.metadata.kind == "flat":
             nearest = np.argsort(neighbour_rows[:, _DISTANCE], kind="stable")[: self.metadata.neighbours]
@@ -135,7 +140,7 @@ def _widened(low: Sequence[float], high: Sequence[float]) -> tuple[Float32s, Flo
     return np.array(low, np.float32) - np.float32(SLACK), np.array(high, np.float32) + np.float32(SLACK)
 
 
-def golden_of(policy: Policy, own_row: Floats, neighbour_rows: Floats, agent: int = 0) -> Golden:
+def golden_of(policy: Policy, own_row: AnyFloats, neighbour_rows: AnyFloats, agent: int = 0) -> Golden:
     """A golden case from the values that a policy gives now."""
     q = policy.values(own_row, neighbour_rows, agent)
     rows = tuple(tuple(map(float, row)) for row in neighbour_rows)

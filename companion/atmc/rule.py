@@ -10,9 +10,9 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final
 
-from companion.arrays import Bools
+from companion.arrays import AnyFloats, Bools
 from companion.atmc.actions import PAPER_ACTIONS, SET_ACTIONS, Action, able, legal
-from companion.atmc.choice import Choice, Floats, Refused, Why
+from companion.atmc.choice import Choice, Refused, Why
 from companion.atmc.observation import NEIGHBOUR_COLUMNS
 from companion.remote_id.region import Region
 
@@ -48,7 +48,12 @@ class Rule:
     within_m: float = BLE4_RANGE_M
 
     def choose(
-        self, own_row: Floats, neighbour_rows: Floats, allowed: Bools, current: int | None, agent: int = 0
+        self,
+        own_row: AnyFloats,
+        neighbour_rows: AnyFloats,
+        allowed: Bools,
+        current: int | None,
+        agent: int = 0,
     ) -> Choice | Refused:
         """See `Mind`. Uses only the distances of the neighbours."""
         limit = math.log10(self.within_m) / 4.0

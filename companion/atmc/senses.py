@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
+from companion.arrays import AnyFloats
 from companion.atmc.actions import TRANSPORTS
-from companion.atmc.choice import Floats
 from companion.atmc.observation import conflict_weight, identity_of, neighbour_rows, own_row
 from companion.ownship import Ownship
 from companion.traffic.reception import HEARD_S, Reception
@@ -76,9 +76,9 @@ class SuccessMeter:
 class Seen:
     """One observation."""
 
-    own: Floats
+    own: AnyFloats
     """Shape (own columns,)."""
-    rows: Floats
+    rows: AnyFloats
     """Shape (heard neighbours, neighbour columns)."""
 
 
@@ -142,7 +142,7 @@ def _heard_lately(now_s: float, traffic: Traffic) -> tuple[list[Track], list[lis
     return tracks, receptions
 
 
-def _relative(now_s: float, own: Ownship, tracks: Sequence[Track]) -> tuple[Floats, Floats]:
+def _relative(now_s: float, own: Ownship, tracks: Sequence[Track]) -> tuple[AnyFloats, AnyFloats]:
     """Distance (m) of each track now, and the speed (m/s) at which it shrinks. Both are horizontal if the
     height of the track is not known."""
     shape = (len(tracks), 3)

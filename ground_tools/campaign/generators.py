@@ -11,15 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Final, cast, get_args
+from typing import Final, cast, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from companion.arrays import Floats
+from companion.arrays import AnyFloats, Floats
 from sitl_mocks.encounters.scenario import Kind, encounter
-
-Rows = NDArray[np.floating[Any]]
 
 MEETING_S: Final = 120.0
 END_S: Final = 240.0
@@ -34,9 +31,10 @@ _MISS_M = 5.0
 _IN_TRAIL_S = 15.0
 _MOST_DRAWS = 1_000
 
-Generator = Callable[[int, float, np.random.Generator], tuple[Rows, Rows, Rows]]
-"""Takes the number of aircraft, the greatest speed (m/s) and a random generator. Returns the positions at the
-meeting time (A, 3), the headings (A,) and the speeds (A,)."""
+Drawn = tuple[AnyFloats, AnyFloats, AnyFloats]
+"""Positions at the meeting time (A, 3), headings (A,) and speeds (A,)."""
+Generator = Callable[[int, float, np.random.Generator], Drawn]
+"""Takes the number of aircraft, the greatest speed (m/s) and a random generator."""
 
 
 def draw(name: str, aircraft: int, speed_mps: float, seed: int) -> tuple[Floats, Floats]:
@@ -77,20 +75,20 @@ def draw(name: str, aircraft: int, speed_mps: float, seed: int) -> tuple[Floats,
     raise ValueError(f"generator {name}: it cannot place {aircraft} aircraft at least {APART_M:g} m apart")
 
 
-def _offsets(aircraft: int, rng: np.random.Generator) -> Rows:
+def _offsets(aircraft: int, rng: np.random.Generator) -> AnyFloats:
     return rng.uniform(-_MISS_M, _MISS_M, (aircraft, 3)) * [1.0, 1.0, 0.5]
 
 
-def _speeds(aircraft: int, most: float, rng: np.random.Generator) -> Rows:
+def _speeds(aircraft: int, most: float, rng: np.random.Generator) -> AnyFloats:
     return most * rng.uniform(_SLOW, _FAST, aircraft)
 
 
-def _along(heading: Rows, distance: Rows) -> Rows:
+def _along(heading: AnyFloats, distance: AnyFloats) -> AnyFloats:
     """Points (A, 3) at a distance (m) along a heading."""
     return np.column_stack([np.cos(heading) * distance, np.sin(heading) * distance, np.zeros(len(heading))])
 
 
-def _in_trail(aircraft: int, sides: Rows, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+def _in_trail(aircraft: int, sides: AnyFloats, most: float, rng: np.random.Generator) -> Drawn:
     """Streams of equal speed through the middle, in each of which the aircraft fly one behind the other.
 
     Args:
@@ -104,25 +102,25 @@ def _in_trail(aircraft: int, sides: Rows, most: float, rng: np.random.Generator)
     return _along(heading, -behind) + _offsets(aircraft, rng), heading, speed
 
 
-def _head_on(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+def _head_on(aircraft: int, most: float, rng: np.random.Generator) -> Drawn:
     turn = rng.uniform(0.0, 2.0 * math.pi)
     return _in_trail(aircraft, np.array([turn, turn + math.pi]), most, rng)
 
 
-def _crossing(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+def _crossing(aircraft: int, most: float, rng: np.random.Generator) -> Drawn:
     """Two lanes that cross at 30 to 150 degrees."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
     between = rng.choice([-1.0, 1.0]) * rng.uniform(math.radians(30.0), math.radians(150.0))
     return _in_trail(aircraft, np.array([turn, turn + between]), most, rng)
 
 
-def _streams(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+def _streams(aircraft: int, most: float, rng: np.random.Generator) -> Drawn:
     """Four streams from four sides, 90 degrees apart."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
     return _in_trail(aircraft, turn + 0.5 * math.pi * np.arange(4.0), most, rng)
 
 
-def _overtaking(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+def _overtaking(aircraft: int, most: float, rng: np.random.Generator) -> Drawn:
     """All aircraft fly in the same direction. Groups of up to five, each aircraft at its own speed, pass one
     place at the same time; the groups fly side by side."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
@@ -132,26 +130,26 @@ def _overtaking(aircraft: int, most: float, rng: np.random.Generator) -> tuple[R
     return across + _offsets(aircraft, rng), np.full(aircraft, turn), speed
 
 
-def _circle(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+def _circle(aircraft: int, most: float, rng: np.random.Generator) -> Drawn:
     """Every aircraft flies through the middle with a random heading and speed."""
     heading = rng.uniform(0.0, 2.0 * math.pi, aircraft)
     return _offsets(aircraft, rng), heading, _speeds(aircraft, most, rng)
 
 
-def _mixed(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+def _mixed(aircraft: int, most: float, rng: np.random.Generator) -> Drawn:
     """As `_circle`, but with slow and fast aircraft: 0.1 to 0.75 of the greatest speed."""
     heading = rng.uniform(0.0, 2.0 * math.pi, aircraft)
     return _offsets(aircraft, rng), heading, most * rng.uniform(0.1, _FAST, aircraft)
 
 
-def _lift(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+def _lift(aircraft: int, most: float, rng: np.random.Generator) -> Drawn:
     """Pairs of aircraft exchange heights in columns that are side by side. No aircraft moves horizontally."""
     column = np.arange(aircraft) // 2
     across = _along(np.zeros(aircraft), column * APART_M * 1.3)
     return across + _offsets(aircraft, rng) * [1.0, 1.0, 0.0], np.zeros(aircraft), np.zeros(aircraft)
 
 
-def _wall(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+def _wall(aircraft: int, most: float, rng: np.random.Generator) -> Drawn:
     """One aircraft flies towards a row of all others, which fly side by side."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
     heading = np.full(aircraft, turn + math.pi)
@@ -163,7 +161,7 @@ def _wall(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, R
     return _along(sideways, across) + _offsets(aircraft, rng), heading, speed
 
 
-def _matrix(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+def _matrix(aircraft: int, most: float, rng: np.random.Generator) -> Drawn:
     """Two rows of aircraft side by side cross at right angles: each aircraft meets one of the other row."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
     row = np.arange(aircraft) % 2
@@ -174,7 +172,7 @@ def _matrix(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows,
     return _along(heading + 0.5 * math.pi, across) + _offsets(aircraft, rng), heading, speed
 
 
-def _funnel(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+def _funnel(aircraft: int, most: float, rng: np.random.Generator) -> Drawn:
     """Aircraft come from an arc (90 degrees, or 8 for each aircraft if that is more), pass one place shortly
     one after the other, and separate again."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
@@ -185,7 +183,7 @@ def _funnel(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows,
     return _along(heading, -behind + behind.mean()) + _offsets(aircraft, rng), heading, speed
 
 
-def _random(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+def _random(aircraft: int, most: float, rng: np.random.Generator) -> Drawn:
     """Random positions in a box at the meeting time: 4,000 m^2 for each aircraft, 10 m high."""
     side = math.sqrt(4_000.0 * aircraft)
     place = rng.uniform(-0.5, 0.5, (aircraft, 3)) * [side, side, 10.0]
@@ -208,6 +206,6 @@ _GENERATORS: Final[dict[str, Generator]] = {
 NAMES: Final[tuple[str, ...]] = (*get_args(Kind), *_GENERATORS)
 
 
-def _least_distance(points: Rows) -> float:
+def _least_distance(points: AnyFloats) -> float:
     gaps = np.linalg.norm(points[:, None] - points[None], axis=2)
     return float(gaps[np.triu_indices(len(points), 1)].min())

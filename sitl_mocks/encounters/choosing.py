@@ -14,9 +14,9 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from companion.arrays import Bools
+from companion.arrays import AnyFloats, Bools
 from companion.atmc.actions import SET_ACTIONS, Action, legal
-from companion.atmc.choice import Choice, Floats, Refused, Why
+from companion.atmc.choice import Choice, Refused, Why
 from companion.atmc.policy import check_flyable, load
 from companion.config import Config, IdentityConfig
 from companion.errors import ConfigError
@@ -104,7 +104,12 @@ class RandomMind:
         return SET_ACTIONS
 
     def choose(
-        self, own_row: Floats, neighbour_rows: Floats, allowed: Bools, current: int | None, agent: int = 0
+        self,
+        own_row: AnyFloats,
+        neighbour_rows: AnyFloats,
+        allowed: Bools,
+        current: int | None,
+        agent: int = 0,
     ) -> Choice | Refused:
         """See `Mind`. Only `allowed` is used."""
         can = np.flatnonzero(allowed)
