@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from companion.autopilot.lists.mission import NAV_LAND, NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF
-from companion.events import Firmware, FlightMode, MissionItem
+from companion.events import FlightMode, MissionItem
 from companion.geometry import LocalFrame
 from ground_tools.fly.missions import begins_with_takeoff
 from ground_tools.fly.vehicle import ARM_DISARM, COMING_DOWN, SILENT_S, Vehicle, VehicleError
@@ -85,8 +85,8 @@ class Fleet:
             self._arm(vehicle)
             self._check_interrupt()
             vehicle.ours = vehicle.modes.climbing
-            if vehicle.firmware is Firmware.PX4:
-                # PX4 takes the altitude above mean sea level; yaw and position are left open.
+            if vehicle.modes.takes_off_above_msl:
+                # Yaw and position are left open.
                 vehicle.command(NAV_TAKEOFF, 0.0, 0.0, 0.0, None, None, None, vehicle.home[2] + height_m)
             else:
                 vehicle.command(NAV_TAKEOFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m)
@@ -220,9 +220,8 @@ class Fleet:
     def _arm(self, vehicle: Vehicle) -> None:
         """Enter a mode that allows take-off, then arm. Retries after a refusal while the estimator
         settles."""
-        px4 = vehicle.firmware is Firmware.PX4
         if vehicle.mode not in vehicle.modes.climbing:
-            vehicle.set_mode(FlightMode.HOLD if px4 else FlightMode.EXTERNAL)
+            vehicle.set_mode(vehicle.modes.armed_in)
         end_s = time.monotonic() + READY_S
         told = ""
         while not vehicle.armed:

@@ -78,7 +78,7 @@ class VehicleError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """Names of the flight modes that the steps use (`Dialect.name`)."""
+    """What the steps need of a firmware: names of its flight modes (`Dialect.name`), and how it takes off."""
 
     climbing: frozenset[str]
     """Modes during a take-off and after it."""
@@ -87,12 +87,28 @@ class Modes:
     """Mode in which the autopilot follows setpoints of a companion computer."""
     holding: str
     """Mode in which a vehicle is left after an interruption."""
+    armed_in: FlightMode
+    """Mode to enter before arming for a take-off."""
+    takes_off_above_msl: bool
+    """True: the altitude of a take-off command is above mean sea level. False: it is above home."""
 
 
 MODES = {
-    Firmware.ARDUPILOT: Modes(frozenset({"GUIDED"}), "AUTO", "GUIDED", "BRAKE"),
+    Firmware.ARDUPILOT: Modes(
+        climbing=frozenset({"GUIDED"}),
+        mission="AUTO",
+        external="GUIDED",
+        holding="BRAKE",
+        armed_in=FlightMode.EXTERNAL,
+        takes_off_above_msl=False,
+    ),
     Firmware.PX4: Modes(
-        frozenset({"AUTO.TAKEOFF", "AUTO.LOITER"}), "AUTO.MISSION", "OFFBOARD", "AUTO.LOITER"
+        climbing=frozenset({"AUTO.TAKEOFF", "AUTO.LOITER"}),
+        mission="AUTO.MISSION",
+        external="OFFBOARD",
+        holding="AUTO.LOITER",
+        armed_in=FlightMode.HOLD,
+        takes_off_above_msl=True,
     ),
 }
 COMING_DOWN = frozenset({"LAND", "RTL", "SMART_RTL", "AUTO_RTL", "AUTO.LAND", "AUTO.RTL", "AUTO.PRECLAND"})
@@ -300,7 +316,7 @@ class Vehicle:
         from mavsdk.plugins.mission_raw import MissionRawError
 
         raw = [self._raw(item) for item in items]
-        if self.firmware is Firmware.ARDUPILOT:
+        if self._dialect.home_is_item_zero:
             lat, lon, alt = self.home
             home = MissionItem(seq=0, command=16, frame=0, lat_deg=lat, lon_deg=lon, alt_m=alt)
             raw.insert(0, self._raw(home))
@@ -333,7 +349,7 @@ class Vehicle:
     @property
     def first_seq(self) -> int:
         """Sequence number of item 1. ArduPilot stores home as sequence number 0."""
-        return 1 if self.firmware is Firmware.ARDUPILOT else 0
+        return int(self._dialect.home_is_item_zero)
 
     # ------------------------------------------------------------ internals
 

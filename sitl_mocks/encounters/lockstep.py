@@ -40,7 +40,7 @@ from sitl_mocks.air.pair_statistics import PairStats
 from sitl_mocks.encounters.choosing import Chosen, RandomMind
 from sitl_mocks.encounters.scenario import encounter
 from sitl_mocks.encounters.scenario_file import RANDOM, Scenario
-from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+from sitl_mocks.vehicle.firmware.behaviour import MANNERS
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle
 from sitl_mocks.vehicle.options import VehicleOptions
 
@@ -143,7 +143,7 @@ def vehicle_options(scenario: Scenario, number: int, path: Floats) -> VehicleOpt
         home_lon_deg=HOME.lon_deg,
         home_alt_msl_m=HOME.alt_m,
         airborne=True,
-        start_mode=VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else VehicleMode.HOLD,
+        start_mode=MANNERS[firmware].waits_in,
         start_position_ned_m=(float(path[0, 1]), float(path[0, 2]), float(path[0, 3])),
         utc_at_zero_s=UTC_AT_START_S,
         parameters=_parameters(firmware, limits),

@@ -58,7 +58,7 @@ class World:
         self.vehicle: MockVehicle = MockVehicle(
             VehicleOptions(
                 firmware=firmware,
-                mission=mission(1 if firmware is Firmware.ARDUPILOT else 0),
+                mission=mission(int(MANNERS[firmware].home_is_item_zero)),
                 utc_at_zero_s=UTC_AT_ZERO_S,
                 gnss_horizontal_sigma_m=1.0,
                 gnss_vertical_sigma_m=1.5,

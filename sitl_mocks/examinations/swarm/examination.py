@@ -36,7 +36,7 @@ from sitl_mocks.examinations.rule_judge import Breach, Judge
 from sitl_mocks.examinations.swarm.schedule import GIVEN_BACK, AircraftSchedule, to_file
 from sitl_mocks.examinations.swarm.verdict import Done
 from sitl_mocks.examinations.world import bounds_of
-from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode
 
 _PUMP_S = 0.02
 _STAMP = struct.Struct(">Q")
@@ -93,7 +93,7 @@ class Examination:
         firmware = vehicle.firmware
         self._judge = Judge(bounds_of(firmware, "fly", limits), grace_s=GRACE_S, cause_s=CAUSE_S)
         self._vehicle = vehicle
-        self._start_mode = VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else VehicleMode.HOLD
+        self._start_mode = MANNERS[firmware].waits_in
         self._begins_s = begins_s
         self._stack = contextlib.ExitStack()
         self._open_links(folder)

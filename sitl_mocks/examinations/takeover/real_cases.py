@@ -123,7 +123,7 @@ class RealFlight:
     def __init__(self, firmware: Firmware, link: Kind, folder: Path) -> None:
         self.firmware, self.link = firmware, link
         self._modes = MANNERS[firmware].custom_modes
-        self._start_mode = VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else VehicleMode.HOLD
+        self._start_mode = MANNERS[firmware].waits_in
         self._folder = folder
         self._stack = contextlib.ExitStack()
         self._armed = True

@@ -228,6 +228,12 @@ class Manners:
     cruise_param_scale: float
     """SI value = parameter value times this."""
 
+    @property
+    def waits_in(self) -> VehicleMode:
+        """Mode in which a vehicle in the air waits for a companion that is to fly it: the one that flies
+        setpoints, or HOLD if that one needs a stream of them."""
+        return VehicleMode.HOLD if self.external_needs_stream else VehicleMode.EXTERNAL
+
     def mode_of(self, custom_mode: int) -> VehicleMode | None:
         """Return the mode with this firmware number; None if the mock does not have it."""
         return next((mode for mode, number in self.custom_modes.items() if number == custom_mode), None)

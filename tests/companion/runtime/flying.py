@@ -13,11 +13,11 @@ import numpy as np
 
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.config import RecordConfig, VehicleConfig
-from companion.events import Firmware, RadioState
+from companion.events import RadioState
 from companion.radio.null.null_radio import NullTransport
 from companion.runtime import clock
 from companion.runtime.links.byte_link import Received
-from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+from sitl_mocks.vehicle.firmware.behaviour import MANNERS
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle
 from sitl_mocks.vehicle.options import VehicleOptions
 
@@ -138,7 +138,7 @@ class Joined:
             firmware=firmware,
             airborne=True,
             start_position_ned_m=(0.0, 0.0, -50.0),
-            start_mode=VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else VehicleMode.HOLD,
+            start_mode=MANNERS[firmware].waits_in,
             utc_at_zero_s=time.time() - clock.now_s(),
         )
         self.vehicle = MockVehicle(options, np.random.default_rng(1), clock.now_s())
