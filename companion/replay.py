@@ -48,6 +48,9 @@ _NEAR_ZERO = 10.0
 of Earth-centred coordinates of about 6e6 m, where adjacent floating-point numbers are 9.3e-10 m apart, and
 another machine's rounding changes the result by a few of these steps."""
 
+_TEXTS = frozenset({"text", "reason"})
+"""Fields of commands that are written for people. A new version may say them in other words."""
+
 
 @dataclass(slots=True)
 class RecordReplay:
@@ -60,6 +63,8 @@ class RecordReplay:
     """Number of steps whose commands differ beyond the tolerance."""
     inexact: int = 0
     """Number of steps whose commands differ, but within the tolerance."""
+    reworded: int = 0
+    """Number of the differing steps whose commands differ only in texts for people."""
     first: str | None = None
     """The first difference, in words; None if there is none."""
     refused: dict[str, int] = field(default_factory=dict)
@@ -98,6 +103,7 @@ def replay_record(records: Iterable[Record], name: str, tolerance: float) -> Rec
             result.inexact += 1
             continue
         result.differences += 1
+        result.reworded += _close(_without_texts(commands), _without_texts(item.commands), tolerance)
         if result.first is None:
             result.first = f"{name}: step {result.steps} at {item.now_s:.3f} s: {_differing(item, commands)}"
     return result
@@ -155,6 +161,12 @@ def _differing(step: Step, now: tuple[Command, ...]) -> str:
         if then_command != now_command:
             return f"then {then_command}, now {now_command}"
     return f"then {len(step.commands)} commands, now {len(now)}"
+
+
+def _without_texts(commands: Iterable[Command]) -> object:
+    """Commands as plain values, with the texts for people left out."""
+    plain = msgspec.to_builtins(tuple(commands))
+    return [{key: value for key, value in command.items() if key not in _TEXTS} for command in plain]
 
 
 def _close(a: object, b: object, tolerance: float) -> bool:

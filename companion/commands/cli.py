@@ -144,6 +144,7 @@ def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
         print(
             f"{result.aircraft}: {result.steps} steps, {result.commands} commands, "
             f"{result.differences} steps differ ({how})"
+            + (f", {result.reworded} of them only in texts for people" if result.reworded else "")
         )
         if result.refused:
             rules = ", ".join(f"{name} {count}" for name, count in sorted(result.refused.items()))

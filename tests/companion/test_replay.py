@@ -16,7 +16,7 @@ from companion.autopilot.tlog import read_tlog
 from companion.commands import cli
 from companion.core import Companion
 from companion.errors import PeerDataError
-from companion.events import VelocitySetpoint
+from companion.events import AuthorityChanged, VelocitySetpoint
 from companion.remote_id.messages import Location
 from companion.runtime.record.recorder import write_manifest
 from sitl_mocks.encounters import lockstep, scenario_file
@@ -113,6 +113,34 @@ def test_a_changed_command_is_found(run_folder, tmp_path, capsys, change, code):
     changed.write_bytes(event_record.MAGIC + b"".join(event_record.encode(item) for item in items))
     assert cli.main(["replay", str(changed)]) == code
     assert ("step" in capsys.readouterr().err) == (code == 1)
+
+
+def test_other_words_are_told_from_other_actions(run_folder, tmp_path, capsys):
+    """A text and a velocity that the record has otherwise: two steps differ, one only in its text."""
+    source = min(run_folder.glob("*.events"))
+    items = list(event_record.read(io.BytesIO(source.read_bytes()), "x"))
+
+    def change(kind, **fields):
+        at, command = next(
+            (k, c)
+            for k, item in enumerate(items)
+            if isinstance(item, event_record.Step)
+            for c in item.commands
+            if isinstance(c, kind) and not (kind is VelocitySetpoint and k < 200)
+        )
+        commands = tuple(
+            msgspec.structs.replace(c, **fields) if c is command else c for c in items[at].commands
+        )
+        items[at] = msgspec.structs.replace(items[at], commands=commands)
+
+    change(AuthorityChanged, reason="in other words")
+    change(VelocitySetpoint, velocity_ned_mps=(9.0, 9.0, 9.0))
+    changed = tmp_path / "x.events"
+    changed.write_bytes(event_record.MAGIC + b"".join(event_record.encode(item) for item in items))
+    assert cli.main(["replay", str(changed)]) == 1
+    assert "2 steps differ (to within 1e-09 (other machine or versions)), 1 of them only in texts" in (
+        capsys.readouterr().out
+    )
 
 
 @pytest.mark.parametrize(("key", "value"), [("machine", "another"), ("dmuca", "0.0.1")])
