@@ -148,15 +148,6 @@ def fly(schedule: Schedule, portions: int | None = None) -> Flown:
     return flown
 
 
-def soak(firmware: Firmware, use: Use, seed: int, hours: float, portions: int | None = None) -> Flown:
-    """Fly one pair of firmware and use for some simulated hours.
-
-    Raises:
-        BrokenRuleError: a rule was broken.
-    """
-    return fly(schedule_of(firmware, use, seed, hours), portions)
-
-
 def _resident_mb() -> float:
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * 4096 / 1e6

@@ -32,15 +32,6 @@ class SampleDelay:
     """Standard error of `pooled_s`, shape (3,)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Age:
-    """Age of information, shape (nodes, nodes), transmitter by receiver. NaN where nothing was received."""
-
-    mean_s: Floats
-    """Average over time."""
-    largest_s: Floats
-
-
 def sample_delay_s(result: Result, tail_s: float | None = None) -> SampleDelay:
     """The paper's delay: from a GNSS sample until a message with it, or with a later one, has arrived.
 
@@ -84,35 +75,6 @@ def sample_delay_s(result: Result, tail_s: float | None = None) -> SampleDelay:
     together = [np.concatenate(p, axis=1) if p else np.zeros((_BATCHES, 0)) for p in pooled]
     pooled_error = [_standard_error(p.mean(axis=1)) if p.shape[1] else np.nan for p in together]
     return SampleDelay(mean, error, open_samples, pooled_mean, np.array(pooled_error, float))
-
-
-def age_of_information_s(result: Result) -> Age:
-    """Age of the freshest sample received in any mode: now minus the time of the sample.
-
-    Averaged from a pair's first reception (or 0 s, if that is later) to the end of the run.
-    """
-    nodes = len(result.first_sample_s)
-    transmitter = result.transmitter[result.heard_event]
-    pair = transmitter * nodes + result.heard_by
-    order = np.lexsort((result.heard_s, pair))
-    pair, arrival_s = pair[order], result.heard_s[order]
-    # One running maximum serves all pairs, because a pair's numbers all lie above those of the pairs before
-    # it.
-    stride = int(result.sample.max()) + 1
-    rank = np.maximum.accumulate(pair * stride + result.sample[result.heard_event][order])
-    freshest_s = result.first_sample_s[transmitter[order]] + (rank - pair * stride) * result.gnss_period_s
-    last = np.append(pair[1:] != pair[:-1], True)[: len(pair)]
-    until_s = np.where(last, result.duration_s, np.append(arrival_s[1:], 0.0)[: len(pair)])
-    since_s = np.clip(arrival_s, 0.0, result.duration_s)
-    until_s = np.clip(until_s, 0.0, result.duration_s)
-    lasting = until_s > since_s
-    pair, youngest, oldest = pair[lasting], (since_s - freshest_s)[lasting], (until_s - freshest_s)[lasting]
-    area = np.bincount(pair, (oldest**2 - youngest**2) / 2.0, nodes * nodes)
-    time = np.bincount(pair, oldest - youngest, nodes * nodes)
-    largest = np.full(nodes * nodes, np.nan)
-    np.fmax.at(largest, pair, oldest)
-    with np.errstate(invalid="ignore"):
-        return Age((area / time).reshape(nodes, nodes), largest.reshape(nodes, nodes))
 
 
 def loss(result: Result) -> Floats:

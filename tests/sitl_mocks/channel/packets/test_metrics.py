@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from sitl_mocks.channel.packets.metrics import age_of_information_s, loss, never_heard, sample_delay_s
-from sitl_mocks.channel.packets.simulation import Result, simulate
-from sitl_mocks.channel.packets.timing import BLE4, PAPER, WIFI
-from sitl_mocks.channel.parameters import ChannelParameters
+from sitl_mocks.channel.packets.metrics import loss, never_heard, sample_delay_s
+from sitl_mocks.channel.packets.simulation import Result
+from sitl_mocks.channel.packets.timing import BLE4, WIFI
 
 
 def written(*heard: tuple[int, int, float], duration_s: float = 10.0, mode: int = BLE4) -> Result:
@@ -80,46 +79,8 @@ def test_a_tail_longer_than_the_run_is_refused() -> None:
         sample_delay_s(written((1, 1, 0.7)), tail_s=10.0)
 
 
-def test_age_grows_until_something_fresher_is_heard() -> None:
-    # By 1: at 1.0 s sample 1 (0.5 s old), at 4.0 s sample 4 (0.5), at 4.5 s sample 3, which is older.
-    result = written((1, 1, 1.0), (4, 1, 4.0), (3, 1, 4.5), duration_s=5.0)
-    age = age_of_information_s(result)
-    # Ramps 0.5 to 3.5 over 3 s and 0.5 to 1.5 over 1 s.
-    assert age.mean_s[0, 1] == pytest.approx((3 * 2.0 + 1 * 1.0) / 4)
-    assert age.largest_s[0, 1] == pytest.approx(3.5)
-    assert np.isnan(age.mean_s[0, 2])
-    assert np.isnan(age.largest_s[0, 2])
-
-
-def test_age_is_counted_from_0_s() -> None:
-    # Heard before: sample 0 of -0.5 s, at -0.3 s. From 0 s its age runs from 0.5 to 2.5.
-    result = written((0, 1, -0.4), (0, 1, -0.3), duration_s=2.0)
-    assert age_of_information_s(result).mean_s[0, 1] == pytest.approx(1.5)
-    assert age_of_information_s(result).largest_s[0, 1] == pytest.approx(2.5)
-
-
-def test_a_run_without_receptions_has_no_age() -> None:
-    assert np.isnan(age_of_information_s(written((1, 1, 99.0), duration_s=5.0)).mean_s).all()
-
-
 def test_loss_is_the_share_of_hearable_packets() -> None:
     result = written((1, 1, 0.7))
     result.hearable[0, 1, BLE4], result.lost[0, 1, BLE4] = 8, 2
     assert loss(result)[0, 1, BLE4] == 0.25
     assert np.isnan(loss(result)[0, 2, BLE4])
-
-
-def test_age_follows_the_freshest_of_all_modes() -> None:
-    """Age of BLE 4 and Wi-Fi together is below that of Wi-Fi alone, and at least the delay of a message."""
-
-    def age(rates: list[int]) -> float:
-        result = simulate(
-            ChannelParameters(), PAPER, np.full((2, 2), 60.0), np.array([rates, [0, 0, 0]]),
-            np.zeros(2, int), 400.0, np.random.default_rng(2),
-        )  # fmt: skip
-        return float(age_of_information_s(result).mean_s[0, 1])
-
-    alone, together = age([0, 0, 10]), age([9, 0, 10])
-    # A sample is half a period old on average when it is the latest, and its delay comes on top.
-    assert alone == pytest.approx(0.5 + 0.149, rel=0.05)
-    assert 0.5 < together < alone - 0.02
