@@ -6,13 +6,16 @@ import math
 import time
 from collections.abc import Callable, Sequence
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from companion.autopilot.lists.mission import NAV_LAND, NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF
 from companion.events import FlightMode, MissionItem
 from companion.geometry import LocalFrame
 from ground_tools.fly.missions import begins_with_takeoff
-from ground_tools.fly.vehicle import ARM_DISARM, COMING_DOWN, SILENT_S, Vehicle, VehicleError
+from ground_tools.fly.modes import COMING_DOWN
+from ground_tools.fly.vehicle import ARM_DISARM, SILENT_S, Vehicle, VehicleError
 
-MISSION_START = 300
+MISSION_START = int(mavlink.MAV_CMD_MISSION_START)
 READY_S = 90.0
 """Timeout until a vehicle can be armed. ArduPilot takes 30 to 45 s after a cold start."""
 _AGAIN_S = 2.0
@@ -27,7 +30,9 @@ _SLOW_MPS = 0.3
 _AT_START_M = 3.0
 _POLL_S = 0.1
 _ENDS = frozenset({NAV_LAND, NAV_RETURN_TO_LAUNCH})
-_UNKNOWN, _ACTIVE, _COMPLETE = 0, 3, 5
+_UNKNOWN, _ACTIVE, _COMPLETE = (
+    int(getattr(mavlink, f"MISSION_STATE_{name}")) for name in ("UNKNOWN", "ACTIVE", "COMPLETE")
+)
 """Values of MISSION_STATE. Firmware that does not report the state also sends 0."""
 
 

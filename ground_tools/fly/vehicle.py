@@ -12,7 +12,6 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -27,11 +26,13 @@ from companion.autopilot.dialect import (
     refusal,
 )
 from companion.autopilot.dialects.definition import CUSTOM_MODE_ENABLED
+from companion.autopilot.lists.mission import NAV_WAYPOINT
 from companion.autopilot.wire import names_of
 from companion.errors import ConfigError
 from companion.events import Firmware, FlightMode, MissionItem
 from companion.geometry import Vec3
 from ground_tools.fly.missions import difference
+from ground_tools.fly.modes import MODES
 
 ARM_DISARM = int(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
 LANDED_ON_GROUND = int(mavlink.MAV_LANDED_STATE_ON_GROUND)
@@ -74,44 +75,6 @@ _RESULTS = names_of("MAV_RESULT", "MAV_RESULT_")
 
 class VehicleError(Exception):
     """A vehicle refused a command, did not do what it acknowledged, or was lost. The message names it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Modes:
-    """What the steps need of a firmware: names of its flight modes (`Dialect.name`), and how it takes off."""
-
-    climbing: frozenset[str]
-    """Modes during a take-off and after it."""
-    mission: str
-    external: str
-    """Mode in which the autopilot follows setpoints of a companion computer."""
-    holding: str
-    """Mode in which a vehicle is left after an interruption."""
-    armed_in: FlightMode
-    """Mode to enter before arming for a take-off."""
-    takes_off_above_msl: bool
-    """True: the altitude of a take-off command is above mean sea level. False: it is above home."""
-
-
-MODES = {
-    Firmware.ARDUPILOT: Modes(
-        climbing=frozenset({"GUIDED"}),
-        mission="AUTO",
-        external="GUIDED",
-        holding="BRAKE",
-        armed_in=FlightMode.EXTERNAL,
-        takes_off_above_msl=False,
-    ),
-    Firmware.PX4: Modes(
-        climbing=frozenset({"AUTO.TAKEOFF", "AUTO.LOITER"}),
-        mission="AUTO.MISSION",
-        external="OFFBOARD",
-        holding="AUTO.LOITER",
-        armed_in=FlightMode.HOLD,
-        takes_off_above_msl=True,
-    ),
-}
-COMING_DOWN = frozenset({"LAND", "RTL", "SMART_RTL", "AUTO_RTL", "AUTO.LAND", "AUTO.RTL", "AUTO.PRECLAND"})
 
 
 def load_mavsdk() -> ModuleType:
@@ -318,7 +281,14 @@ class Vehicle:
         raw = [self._raw(item) for item in items]
         if self._dialect.home_is_item_zero:
             lat, lon, alt = self.home
-            home = MissionItem(seq=0, command=16, frame=0, lat_deg=lat, lon_deg=lon, alt_m=alt)
+            home = MissionItem(
+                seq=0,
+                command=NAV_WAYPOINT,
+                frame=mavlink.MAV_FRAME_GLOBAL,
+                lat_deg=lat,
+                lon_deg=lon,
+                alt_m=alt,
+            )
             raw.insert(0, self._raw(home))
         for seq, item in enumerate(raw):
             item.seq, item.current = seq, int(seq == 0)

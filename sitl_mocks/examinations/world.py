@@ -14,8 +14,10 @@ import struct
 from typing import Any, Final, Literal
 
 import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.dialects.definition import Dialect
+from companion.autopilot.lists.mission import NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF, NAV_WAYPOINT
 from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig
 from companion.events import Firmware, MissionItem, RadioState
@@ -37,7 +39,7 @@ UTC_AT_ZERO_S: Final = 1_767_225_600.0
 HOME: Final = LocalFrame(47.397, 8.545, 400.0)
 HEIGHT_M: Final = 40.0
 _WAYPOINTS: Final = ((0.0, 0.0), (200.0, 0.0), (200.0, 150.0), (0.0, 150.0))
-_LAUNCH: Final = 20
+_FRAME: Final = int(mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 _LIMITS: Final = LimitsConfig(max_speed_mps=6.0)
 _SHARED: Final = (Config, Manners, VehicleOptions, Dialect, struct.Struct)
 """Types of immutable objects, which snapshots share instead of copying."""
@@ -315,7 +317,10 @@ def new_companion(use: Use) -> CompanionSystem:
 
 def mission(first: int) -> tuple[MissionItem, ...]:
     """Mission with take-off, three rounds of a rectangle and return; `first` is the first item's number."""
-    points = [(22, *_WAYPOINTS[0]), *((16, *point) for point in 3 * _WAYPOINTS[1:] + _WAYPOINTS[:1])]
+    points = [
+        (NAV_TAKEOFF, *_WAYPOINTS[0]),
+        *((NAV_WAYPOINT, *point) for point in 3 * _WAYPOINTS[1:] + _WAYPOINTS[:1]),
+    ]
     items = []
     for number, (command, north, east) in enumerate(points):
         lat_deg, lon_deg, _ = HOME.to_geodetic(north, east, 0.0)
@@ -323,10 +328,10 @@ def mission(first: int) -> tuple[MissionItem, ...]:
             MissionItem(
                 seq=first + number,
                 command=command,
-                frame=6,
+                frame=_FRAME,
                 lat_deg=lat_deg,
                 lon_deg=lon_deg,
                 alt_m=HEIGHT_M,
             )
         )
-    return (*items, MissionItem(seq=first + len(items), command=_LAUNCH, frame=6))
+    return (*items, MissionItem(seq=first + len(items), command=NAV_RETURN_TO_LAUNCH, frame=_FRAME))

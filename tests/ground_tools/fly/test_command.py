@@ -12,7 +12,7 @@ import pytest
 from companion.events import Firmware, FlightMode
 from ground_tools import cli
 from ground_tools.fly import command
-from ground_tools.fly.vehicle import MODES
+from ground_tools.fly.modes import MODES
 
 
 class Flying:

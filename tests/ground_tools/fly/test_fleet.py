@@ -7,7 +7,8 @@ import pytest
 from companion.events import Firmware, FlightMode, MissionItem
 from ground_tools.fly import fleet as steps
 from ground_tools.fly.fleet import Fleet, finished
-from ground_tools.fly.vehicle import ARM_DISARM, MODES, VehicleError
+from ground_tools.fly.modes import MODES
+from ground_tools.fly.vehicle import ARM_DISARM, VehicleError
 
 RTL = MissionItem(seq=2, command=20, frame=2)
 WAYPOINT = MissionItem(seq=1, command=16, frame=3, lat_deg=47.4, lon_deg=8.5, alt_m=20.0)
