@@ -26,7 +26,8 @@ PATIENCE_S = 60.0
 
 
 class Double(threading.Thread):
-    """Flies the vehicle at once. A disobedient one requests its mode again, 0.3 s after it reads another."""
+    """Flies the vehicle at once. A disobedient one requests its mode again 0.3 s after it reads another
+    mode."""
 
     def __init__(self, link, *, obeys):
         super().__init__()
@@ -92,7 +93,8 @@ def vehicle(tmp_path):
 
 
 def examined(vehicle, folder, link, faults, *, awaited=frozenset()):
-    """Report of a double under these faults, when it has broken the awaited rules. Without them it obeys."""
+    """Report of a test double under these faults once it has broken the expected rules. Without faults it
+    obeys."""
     schedule = AircraftSchedule(1, 1, 0, link, 3.0, faults)
     one = Examination(vehicle, LimitsConfig(max_speed_mps=6.0), time.monotonic(), schedule, folder)
     with contextlib.closing(one):

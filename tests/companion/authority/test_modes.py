@@ -1,4 +1,5 @@
-"""Which of the modes that a vehicle shows between two steps is not by our doing."""
+"""Finds, among the modes that a vehicle reports between two steps, the one that the companion did not
+cause."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ EXTERNAL, MISSION, HOLD, OTHER = (
 
 
 class Asked(HandBack):
-    """The mission was given back just now."""
+    """The mission has just been given back."""
 
     def __init__(self, own):
         config = Config(identity=IdentityConfig(uas_id="OWN"), flight=FlightConfig(use="guard"))
@@ -127,7 +128,7 @@ def test_a_mission_that_is_given_back_is_expected_and_so_is_its_end_on_px4(firmw
         (MISSION, OTHER, MISSION): OTHER,
         (EXTERNAL, HOLD): None if ends else HOLD,
         (MISSION, HOLD): None if ends else HOLD,
-        # Who selects our mode after the mission was entered is not us.
+        # After the mission was entered, a change to our mode is the pilot's.
         (MISSION, EXTERNAL): EXTERNAL,
         (HOLD, EXTERNAL): EXTERNAL if ends else HOLD,
     }

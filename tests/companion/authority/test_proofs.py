@@ -1,4 +1,4 @@
-"""Theorems on the table of who flies, by all pairs of a state and a set of triggers.
+"""Theorems on the authority table, checked for every state with every set of triggers.
 
 The table is asked through `next_state` alone, with every set of the 15 triggers in each of the 7 states:
 229 376 cases.
@@ -16,7 +16,8 @@ ALL = tuple(Trigger)
 
 @cache
 def moves() -> list[tuple[State, frozenset[Trigger], State, Trigger]]:
-    """Every case in which the table moves: state, what was found, next state, and the trigger taken."""
+    """Every case in which the state changes: state, triggers found, next state, and the trigger that was
+    taken."""
     found = [frozenset(t for n, t in enumerate(ALL) if bits >> n & 1) for bits in range(1 << len(ALL))]
     return [
         (state, triggers, *move)
@@ -43,7 +44,8 @@ def test_control_is_taken_in_two_ways_only():
 
 
 def test_the_pilot_precedes_everything():
-    """Whatever else is found with it: who holds the vehicle, or lost it to a fault, yields."""
+    """With the trigger PILOT, whatever other triggers come with it, a companion that holds the vehicle or is
+    in FAULT yields."""
     cases = [case for case in moves() if Trigger.PILOT in case[1] and case[0] in HELD | {State.FAULT}]
     assert len(cases) == 4 << 14
     assert all(to is State.YIELDED and trigger is Trigger.PILOT for _, _, to, trigger in cases)

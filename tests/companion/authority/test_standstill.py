@@ -1,4 +1,4 @@
-"""How long a vehicle that was let go is commanded to stand."""
+"""How long a released vehicle is commanded to stand still."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of who flies: every pair of state and trigger, and the rules that it keeps."""
+"""The authority table: every pair of state and trigger, and the rules that the table keeps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.support import states
 @pytest.mark.parametrize("state", State)
 @pytest.mark.parametrize("trigger", Trigger)
 def test_every_pair_of_state_and_trigger(state, trigger):
-    """What the table says is done; what it does not know changes nothing."""
+    """Transitions in the table are made. Pairs that are not in the table change nothing."""
     expected = TRANSITIONS.get((state, trigger))
     moved = next_state(state, frozenset({trigger}))
     assert moved == (None if expected is None else (expected, trigger))
@@ -32,7 +32,7 @@ def test_rules_of_the_table():
         for (s, _), to in TRANSITIONS.items()
         if to is State.AVOIDING
     )
-    # Who only looks on is nobody the pilot has to take the vehicle from.
+    # In WATCHING the companion does not hold the vehicle, so the pilot takes nothing from it.
     assert (State.WATCHING, Trigger.PILOT) not in TRANSITIONS
 
 

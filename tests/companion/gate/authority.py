@@ -1,4 +1,4 @@
-"""What the tests of authority share."""
+"""Helpers shared by the tests of authority."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A gate with a vehicle before it: it is told events, and what wants to leave is made by pymavlink."""
+"""A gate and its vehicle. The gate hears events, and pymavlink makes the frames that are offered to it."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def config(
     fence: tuple[FenceArea, ...] = (),
     **flight: Any,
 ) -> Config:
-    """A configuration; `flight` are keys of [flight]."""
+    """A configuration. `flight` holds keys of the section [flight]."""
     return Config(
         identity=IdentityConfig(uas_id="GATE"),
         vehicle=VehicleConfig(system_id=system_id),
@@ -74,14 +74,14 @@ def config(
 
 
 def rectangle(south: float, west: float, north: float, east: float, *, inclusion: bool = True) -> FenceArea:
-    """A fence in metres around home."""
+    """A fence given in metres around home."""
     corners = [(south, west), (north, west), (north, east), (south, east)]
     points = tuple(HOME.to_geodetic(*corner, 0.0)[:2] for corner in corners)
     return FenceArea(inclusion=inclusion, points=points)
 
 
 class Flying:
-    """One gate and the vehicle that it hears, at 20 Hz. The vehicle is where it is put, and stays there."""
+    """One gate and the vehicle that it hears at 20 Hz. The vehicle stays where a test puts it."""
 
     def __init__(self, configured: Config | None = None, firmware: Firmware = ARDUPILOT) -> None:
         self.config = config() if configured is None else configured
@@ -96,10 +96,10 @@ class Flying:
         self.place, self.velocity = (0.0, 0.0, -50.0), (0.0, 0.0, 0.0)
 
     def custom(self, mode: FlightMode) -> int:
-        """A mode's number."""
+        """Number (`custom_mode`) of a mode."""
         return CUSTOM[self.firmware][mode]
 
-    # ------------------------------------------------------------ what the gate is told
+    # ------------------------------------------------------------ messages to the gate
 
     def beat(
         self, mode: FlightMode | None = None, *, armed: bool | None = None, overtaken: bool = False
@@ -124,7 +124,7 @@ class Flying:
         self.gate.hear(CurrentMode(custom_mode=self.custom(mode), overtaken=overtaken), self.now_s)
 
     def position(self, age_s: float = 0.0) -> None:
-        """GLOBAL_POSITION_INT, measured so long ago."""
+        """GLOBAL_POSITION_INT, measured `age_s` ago."""
         lat_deg, lon_deg, alt_m = _geodetic(self.place)
         event = GlobalPosition(
             time_boot_s=self.now_s - self.boot_s - age_s,
@@ -142,7 +142,7 @@ class Flying:
         self.gate.hear(LandedState(landed=landed), self.now_s)
 
     def run(self, seconds: float = STEP_S, *, beats: bool = True) -> Flying:
-        """So long all is read in time; position and landed state at 20 Hz, and the heartbeat too."""
+        """Let time pass with all input read in time. Position, landed state and heartbeat arrive at 20 Hz."""
         for _ in range(round(seconds / STEP_S)):
             self.now_s += STEP_S
             self.position()
@@ -154,13 +154,13 @@ class Flying:
         return self
 
     def airborne(self, mode: FlightMode) -> Flying:
-        """Seen on the ground, armed, flying in `mode`."""
+        """Report the vehicle on the ground, then armed, then flying in `mode`."""
         self.run(2.0)
         self.landed, self.armed, self.mode = Landed.IN_AIR, True, mode
         return self.run(1.0)
 
     def taken(self) -> Flying:
-        """Flown by us, in GUIDED or OFFBOARD that we have asked for."""
+        """Make the companion fly the vehicle, in GUIDED or OFFBOARD as it requested."""
         self.airborne(MISSION)
         assert self.asks(EXTERNAL)
         self.mode = EXTERNAL
@@ -168,18 +168,18 @@ class Flying:
         assert self.flies()
         return self
 
-    # ------------------------------------------------------------ what wants to leave
+    # ------------------------------------------------------------ frames offered to the gate
 
     def out(self, message: Any) -> bool:
         """Whether a message leaves."""
         return self.leaves(self.packed(message))
 
     def packed(self, message: Any) -> bytes:
-        """A frame of pymavlink's."""
+        """A frame made by pymavlink."""
         return bytes(message.pack(self.encoder))
 
     def leaves(self, frame: bytes) -> bool:
-        """Whether a frame leaves, as it is."""
+        """Whether a frame leaves unchanged."""
         released = self.gate.release(frame, self.now_s)
         assert released in (frame, b"")
         return bool(released)
@@ -221,11 +221,11 @@ class Flying:
         return [told.rule for told in self.broken()]
 
     def broken(self) -> list[GateRefused]:
-        """What the gate says of it."""
+        """The gate's refusals since the last call."""
         return self.gate.broken()
 
 
 def flown_at(one: Flying, *velocity: float) -> Flying:
-    """Let the vehicle fly a velocity already, so that a setpoint of it asks for no change."""
+    """Let the vehicle fly a velocity already, so that a setpoint with this velocity is no change."""
     one.velocity = velocity[0], velocity[1], velocity[2]
     return one.run()

@@ -1,4 +1,4 @@
-"""Rule 6: what ends authority, and what gives it back."""
+"""Rule 6: events that end authority and events that restore it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_the_mode_between_heartbeats_ends_it_too(use):
 @BOTH
 @USES
 def test_what_was_asked_for_does_not_excuse_what_came_before_it(use, firmware):
-    """RTL, then BRAKE, in one batch: BRAKE was asked for, RTL was not."""
+    """RTL and then BRAKE arrive in one batch. BRAKE was requested, RTL was not."""
     one = flying(use, firmware)
     assert one.asks(HOLD)
     one.beat(RTL)
@@ -172,7 +172,7 @@ def test_what_gives_authority_back(use, firmware, rearm):
 @USES
 @REARM
 def test_what_gives_nothing_back(use, firmware, rearm):
-    """Other modes, a landing without disarming, time, setpoints."""
+    """Authority is not restored by other modes, a landing without disarming, time or setpoints."""
     one = lost(use, firmware, rearm)
     other = EXTERNAL if use == "guard" else MISSION
     for mode in (HOLD, STICKS, other, RTL):
@@ -191,7 +191,8 @@ def test_what_gives_nothing_back(use, firmware, rearm):
 
 
 def test_of_a_guard_the_mission_that_ended_authority_does_not_give_it_back():
-    """The pilot takes the vehicle by its mission: it must be left and selected again."""
+    """The pilot takes the vehicle by selecting its mission. To restore authority it must be left and selected
+    again."""
     one = flying("guard", rearm="mode")
     one.beat(MISSION)
     one.run(1.0)

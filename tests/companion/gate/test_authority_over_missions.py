@@ -1,4 +1,4 @@
-"""Rule 6 over missions that are handed back, and vehicles that were flying already."""
+"""Rule 6 for missions that are handed back, and for vehicles that were already flying."""
 
 from __future__ import annotations
 
@@ -144,7 +144,8 @@ def test_a_landing_ends_what_was_held():
 @BOTH
 @pytest.mark.parametrize("flies_between", [False, True])
 def test_a_mission_that_was_recalled_and_shows_for_a_moment_is_no_handing_back(firmware, flies_between):
-    """Given back, and asked for our mode again at once as somebody comes: the vehicle obeys both."""
+    """The mission is given back, and a new conflict makes the companion request its mode again at once. The
+    vehicle obeys both requests."""
     one = flying("guard", firmware)
     assert one.asks(MISSION)
     one.run()
@@ -161,8 +162,8 @@ def test_a_mission_that_was_recalled_and_shows_for_a_moment_is_no_handing_back(f
 
 @BOTH
 def test_a_vehicle_that_was_left_in_its_mission_is_its_pilots_again(firmware):
-    """It was commanded, never entered our mode, and has been let alone since: its pilot may leave the mission
-    and select it again, and it is guarded as before."""
+    """The vehicle was commanded but never entered our mode, and nothing was sent since. Its pilot may leave
+    the mission and select it again, and it is guarded as before."""
     one = Flying(config("guard"), firmware).airborne(MISSION)
     assert one.flies()
     assert one.asks(EXTERNAL)

@@ -24,7 +24,7 @@ def at(one, place=(0.0, 0.0, -50.0), velocity=(0.0, 0.0, 0.0)):
 
 
 def test_what_is_flown_is_the_first_ones_measure():
-    """With a second's acceleration (2 m/s) and 1 m/s of noise."""
+    """Allowed from the flown velocity: one second of acceleration (2 m/s) and 1 m/s of noise."""
     for velocity, leaves in (((1.95,), False), ((2.05,), True), ((5.0, 2.95), True), ((5.0, 3.05), False)):
         one = at(taken().run(1.1), velocity=(5.0, 0.0, 0.0))
         assert one.flies(*velocity) is leaves
@@ -37,7 +37,7 @@ def test_a_vehicle_that_flies_faster_than_allowed_begins_at_what_is_allowed():
 
 
 def steps(one, *speeds):
-    """Which of some northward setpoints leave, one every 50 ms, of a vehicle that flies none of them."""
+    """Which of these northward setpoints leave, sent every 50 ms, if the vehicle follows none of them."""
     return [at(one).flies(speed) for speed in speeds]
 
 
@@ -103,7 +103,7 @@ def test_the_vehicles_own_acceleration_counts_where_it_is_lower():
 
 
 # ---------------------------------------------------------------- 12: floor and ceiling
-# From a speed v: half a second, then with 2 m/s2; and a metre of slack.
+# Way to stop from a speed v: half a second at v, then braking with 2 m/s2; and a metre of slack.
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_the_height_is_carried_on_to_now():
 @pytest.mark.parametrize("side", [(1, 0), (-1, 0), (0, 1), (0, -1)])
 @pytest.mark.parametrize(("room", "speed", "leaves"), [(6.1, 4.0, True), (5.9, 4.0, False), (0.5, 0.0, True)])
 def test_a_wall_is_met_with_the_room_to_stop(side, room, speed, leaves):
-    """From 4 m/s: 2 m in half a second, 4 m with 2 m/s2."""
+    """Way to stop from 4 m/s: 2 m in half a second, then 4 m with 2 m/s2."""
     n, e = side
     flown = 0.9 * speed
     place, velocity = ((100.0 - room) * n, (100.0 - room) * e, -50.0), (flown * n, flown * e, 0.0)
@@ -243,7 +243,7 @@ def test_far_from_every_wall_and_then_near():
 
 
 def test_a_fence_of_the_vehicles_counts_at_once_where_it_is_to_be_kept():
-    """Also one that comes after a wider one."""
+    """A narrower fence applies too if it comes after a wider one."""
     small = FenceDownloaded(areas=(rectangle(-100.0, -100.0, 5.0, 100.0),))
     for fence, leaves in (("vehicle", False), (None, True)):
         one = Flying(config(limits={**FAST, "fence": fence})).taken()
@@ -262,7 +262,8 @@ def test_up_and_down_no_wall_counts():
 
 
 def braked(one, steps):
-    """Which of some northward setpoints leave, each with what the vehicle flies as it nears a wall."""
+    """Which of these northward setpoints leave, each with the velocity that the vehicle then flies towards a
+    wall."""
     left, north = [], 96.0
     for flown, speed in steps:
         left.append(at(one, (north, 0.0, -50.0), (flown, 0.0, 0.0)).flies(speed))
@@ -271,8 +272,8 @@ def braked(one, steps):
 
 
 def test_slowing_down_is_not_begun_anew_again_and_again():
-    """With a velocity told ten times a second, a tenth of a metre per second less each time is half of the
-    braking that it takes."""
+    """If the velocity is reported ten times a second, 0.1 m/s less each time is half of the deceleration that
+    is needed."""
     assert all(braked(taken([BOX]), [(5.0 - 0.11 * n, 4.89 - 0.11 * n) for n in range(30)]))
     half = [5.0 - 0.101 * (n // 2) for n in range(30)]
     left = braked(taken([BOX]), [(flown, flown - 0.101) for flown in half])

@@ -1,4 +1,4 @@
-"""Rules 1 to 3 and 7 to 10: which frames, to whom, which modes, how old, what form, how fast."""
+"""Rules 1 to 3 and 7 to 10: kinds of frames, target, modes, age, form and speed."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_mavlink_1_and_unknown_flags_do_not_leave(taken):
 
 @pytest.mark.parametrize("command", [False, True])
 def test_a_payload_longer_than_its_message_does_not_leave(taken, command):
-    """Readers cut what they do not know, so what they would fly stands in the front part."""
+    """Receivers cut off fields that they do not know, so the part that they would act on is the front."""
     message = (
         mavlink.MAVLink_command_long_message(1, 1, 176, 0, 1, 17, 0, 0, 0, 0, 0)
         if command
@@ -147,7 +147,7 @@ def test_messages_may_be_asked_for_at_any_time(number):
     ("opcode", "leaves"), [(128, True), (129, True), (7, False), (6, False), (15, False)]
 )
 def test_files_are_told_of_and_never_written(taken, opcode, leaves):
-    """Files of ArduPilot hold its parameters: who writes them sets those."""
+    """ArduPilot keeps parameters in files, so writing a file can set parameters."""
     payload = bytes((0, 0, 0, opcode)).ljust(251, b"\1")
     assert taken.out(mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, payload)) is leaves
     assert taken.refused() == ([] if leaves else [2])
@@ -334,7 +334,7 @@ assert OTHER is RTL
 
 
 def test_every_fault_is_told_to_the_program_above():
-    """The gate is shut after each: a program that was not told would go on as if its commands left."""
+    """Each of these shuts the gate. A program that was not told would go on as if its commands had left."""
     one = Flying().taken()
     for _ in range(3):
         assert not one.flies(30.0)
@@ -344,7 +344,7 @@ def test_every_fault_is_told_to_the_program_above():
 
 
 def test_what_was_decided_before_a_limit_was_told_does_not_leave_and_is_no_fault():
-    """A setpoint waits for an answer; the vehicle's new limit comes first."""
+    """A setpoint waits for an answer, and a new limit of the vehicle arrives before it."""
     one = flown_at(Flying().taken(), 4.0, 0.0, 0.0)
     one.now_s += 0.01
     lower = Parameter(name="P", value=3.0)

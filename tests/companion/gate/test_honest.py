@@ -1,4 +1,5 @@
-"""Of honest flights, troubles of the vehicle and its pilot and all, the gate refuses nothing."""
+"""The gate refuses nothing in honest flights, also not with faults of the vehicle and actions of the
+pilot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A small part of the campaign of hostile programs, and what its oracle can find."""
+"""A small part of the campaign of hostile programs, and the errors that its oracle finds."""
 
 from __future__ import annotations
 

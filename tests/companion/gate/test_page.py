@@ -1,4 +1,4 @@
-"""docs/gate.md describes the rules that are judged."""
+"""docs/gate.md describes the same rules that the gate judges by."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Theorems on the gate's bounds, over the real numbers, and on who has authority, by all histories.
+"""Theorems on the gate's bounds over the real numbers, and on authority over all histories.
 
 Formulas are transcribed from `Bounds`; what is proved of them holds without rounding.
 """
@@ -47,8 +47,8 @@ def test_the_room_that_a_speed_needs_is_the_transcribed_one():
 
 
 def test_what_passes_by_its_room_is_stopped_in_it():
-    """A speed towards a bound that passes, flown for the reaction time at most so fast, then braked with the
-    configured acceleration: at no moment is more way made than there is room."""
+    """A vehicle flies towards a bound at a speed that passes, for the reaction time and no faster, then
+    brakes with the configured acceleration. At no moment has it flown farther than there is room."""
     flies = (A > 0, V >= 0, W >= 0, W <= V * REACTION, T >= 0, A * T <= V, ROOM >= 0)
     way = W + V * T - A * T * T / 2
     prove(way <= ROOM, *flies, NEEDED <= ROOM)
@@ -76,7 +76,7 @@ BUDGET, PASSED, CHANGED, TOTAL, SINCE, FIRST = z3.Reals("budget passed changed t
 
 
 def allowed(budget, passed, a):
-    """`_allowed_mps`: what is saved up and what the time passed adds, a second's worth at most."""
+    """`_allowed_mps`: the saved budget plus what the elapsed time adds, up to one second's worth."""
     saved = budget + a * z3.If(passed > 1, z3.RealVal(1), passed)
     return z3.If(saved > a, a, saved)
 
@@ -109,9 +109,8 @@ def test_the_budget_is_the_transcribed_one():
 
 
 def test_the_change_of_a_chain_of_setpoints_is_bounded_in_every_window():
-    """Setpoints that pass one after the other by their change from the last one, however many and at
-    whatever times: in a window of t seconds their changes add up to a (t + 1 s) at most, and once the
-    slack for rounding.
+    """Any number of setpoints, at any times, that each pass by their change from the last one: within t
+    seconds their changes add up to at most a (t + 1 s), plus the slack for rounding once.
 
     Inductive: total + budget <= budget at the window's beginning + a t, for a constant acceleration limit. A
     setpoint that passes by the velocity flown, or a standstill, begins another chain.
@@ -142,7 +141,8 @@ PAUSE_S, ASKED_S = 11.0, 10.0
 
 
 class History:
-    """Who has authority, by rule 6 in its own words: what was told and what left, and nothing of the code."""
+    """Who has authority, written from the words of rule 6 alone: it uses the reported modes and the commands
+    that left, and none of the gate's code."""
 
     def __init__(self, use: str, rearm: str) -> None:
         self.use, self.rearm = use, rearm
@@ -151,14 +151,15 @@ class History:
         self.told: FlightMode | None = None
         self.gone = False
         self.chosen_anew = False
-        """Another mode than the giving one was told since: the next giving one is the pilot's choice."""
+        """True once a mode other than the one that gives authority was reported: the next report of that mode
+        is the pilot's choice."""
         self.free()
 
     def free(self) -> None:
         self.gone, self.held = False, False
         self.ours: dict[FlightMode, bool] = {}
-        """Modes that are no sign of a pilot, and whether they were asked for less than 10 s ago and not told
-        yet (those that were told stay)."""
+        """Modes that do not show a pilot's action, with True for a mode that was requested less than 10 s ago
+        and not reported yet. Reported modes stay."""
         self.taken_from: FlightMode | None = None
         self.asked_last: FlightMode | None = None
         self.let_alone = False
@@ -181,7 +182,7 @@ class History:
                     self.free()  # handed back
                 return
             self.gone = True
-            # Of a mission that is told right after our own mode nobody knows who began it.
+            # If a mission is reported right after our own mode, it is unknown who selected it.
             self.chosen_anew = before is not EXTERNAL
         if self.gone:
             if mode is self.gives and self.chosen_anew and self.rearm == "mode":
@@ -228,7 +229,8 @@ def beat_of(firmware: Firmware, mode: FlightMode, armed: bool) -> Heartbeat:
 
 
 def happen(event: Event, mandate: Mandate, history: History, firmware: Firmware, now_s: float) -> float:
-    """One event for both; what leaves is up to the mandate. Returns the time after it."""
+    """Pass one event to the mandate and the history. The mandate decides what leaves. Returns the time after
+    it."""
     what, mode, armed = event
     if what == "pause":
         history.pause()
@@ -266,7 +268,7 @@ def judge(mandate: Mandate, history: History, now_s: float) -> None:
 
 
 def snapshot(mandate: Mandate, now_s: float) -> tuple[object, ...]:
-    """All that decides what a mandate does from now on, times as seen from now."""
+    """Everything that determines the mandate's further behaviour, with times relative to now."""
     beat = mandate.heartbeat
     return (
         beat and (beat.armed, beat.mode), mandate.lost is None, mandate.engaged, mandate._mode,
@@ -277,7 +279,7 @@ def snapshot(mandate: Mandate, now_s: float) -> tuple[object, ...]:
 
 
 def shallow(one: Any) -> Any:
-    """As `copy.copy`, in a third of its time."""
+    """Same as `copy.copy`, in a third of the time."""
     other = object.__new__(type(one))
     other.__dict__.update(one.__dict__)
     return other
@@ -291,7 +293,7 @@ def copied(mandate: Mandate) -> Mandate:
 
 
 def explore(configured: Config, firmware: Firmware, mandate_type: type[Mandate] = Mandate) -> int:
-    """Every state that any sequence of the events leads to, judged; how many there are."""
+    """Judge every state that any sequence of the events leads to. Returns the number of states."""
     flight = configured.flight
     first = mandate_type(configured), History(flight.use, flight.rearm), 100.0
     seen, front = set(), [first]
@@ -313,16 +315,16 @@ def explore(configured: Config, firmware: Firmware, mandate_type: type[Mandate] 
 @pytest.mark.parametrize("use", ["fly", "guard"])
 @pytest.mark.parametrize("rearm", ["mode", "disarm", "never"])
 def test_authority_is_gone_until_what_rearm_names(firmware, use, rearm):
-    """All sequences, of any length, of 16 events: one of five modes told, armed or not; one of four modes
-    asked for; a setpoint; 11 s without anything. The others take no time. What leads to the same state is
-    followed once: in all twelve cases 55 740 states, with 16 events in each. Other mode numbers, the landed
-    state and the end of a mission are not among the events.
+    """All sequences, of any length, of 16 events: a report of one of five modes, armed or not; a request for
+    one of four modes; a setpoint; a pause of 11 s. The other events take no time. Sequences that lead to the
+    same state are followed once: in all twelve cases 55 740 states, with 16 events in each. Other mode
+    numbers, the landed state and the end of a mission are not among the events.
     """
     assert explore(config(use, rearm=rearm, take_in_flight=True), firmware) > 600
 
 
 class Forgetful(Mandate):
-    """Forgets what ended authority when a mode is told that was asked for."""
+    """Forgets that authority has ended when a requested mode is reported."""
 
     def hear_mode(self, custom: int, mode: FlightMode, now_s: float) -> None:
         if custom in self._ours:

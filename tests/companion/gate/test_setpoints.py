@@ -33,7 +33,8 @@ def test_a_setpoint_leaves_within_a_quarter_of_a_second_of_its_decision(taken):
 
 
 def test_the_own_position_is_young(taken):
-    """Not told, the age at which authority ends (1 s) and half a second more may pass."""
+    """If no new position arrives, the last one may be 1.5 s old: 1 s, at which authority ends, and half a
+    second."""
     for _ in range(29):
         taken.now_s += 0.05
         taken.beat()
@@ -79,7 +80,7 @@ def test_a_vehicle_that_restarts_soon_after_its_start_is_flown_again(taken):
 
 
 def test_after_a_restart_the_last_position_is_not_known_any_more(taken):
-    """By the new clock it would have been measured in the future, and never be too old."""
+    """By the new clock it would have been measured in the future, so it would never be too old."""
     for turn in range(220):
         taken.now_s += 0.05
         taken.gate.hear(VehicleTime(time_boot_s=1.0 + 0.05 * turn), taken.now_s)

@@ -61,7 +61,7 @@ def test_a_word_of_the_air_between_begins_the_twelve_seconds_anew():
 
 
 def test_a_vehicle_that_flies_fast_is_not_on_the_ground_whatever_it_says():
-    """As docs/authority.md has it: of one faster than 2 m/s it is never believed."""
+    """As docs/authority.md says, a landed state of a vehicle faster than 2 m/s is never believed."""
     one = flying()
     one.landed, one.velocity = Landed.ON_GROUND, (3.0, 0.0, 0.0)
     one.run(20.0)
@@ -94,7 +94,7 @@ def test_disabled_it_may_stand_and_ask_for_a_hold(use, firmware):
 
 
 def read(one, *, beats=True):
-    """One turn of the loop, in time."""
+    """One cycle of the loop, in time."""
     one.now_s += 0.05
     one.position()
     if beats:
@@ -104,7 +104,7 @@ def read(one, *, beats=True):
 
 
 def late(one, seconds):
-    """The loop hangs for so long."""
+    """The loop hangs for `seconds`."""
     one.now_s += seconds
     one.gate.decided(one.now_s)
 
@@ -272,7 +272,7 @@ def test_a_message_that_is_a_little_late_does_not_stop_the_flight():
 
 
 def test_a_clock_that_has_restarted_stops_the_flight_for_ten_seconds():
-    """It cannot be told from a message that was delayed for as long."""
+    """It cannot be distinguished from a message that was delayed for as long."""
     one = flying()
     one.boot_s += 90.0
     one.run(9.9)

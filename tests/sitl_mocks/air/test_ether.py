@@ -278,7 +278,7 @@ def test_undecided_frames_are_bounded_too() -> None:
         ether.transmit(0.0, "a", "wifi", b"x")
     assert sum(pair.overflowed for pair in ether.stats.values()) == 3
     assert len(ether.due(2.0)) == 5
-    # What is decided makes room.
+    # Decided frames make room for new ones.
     ether.transmit(2.0, "a", "wifi", b"x")
     assert len(ether.due(4.0)) == 2
 
@@ -301,7 +301,8 @@ def test_only_positions_refresh_what_is_known() -> None:
         ether.due(sent_s + 0.5)
     ether.finish(7.5)
     pair = ether.stats["a", "b"]
-    # Heard at 1.5 (0.5 old), at 5.5 grown to 4.5 and 0.5 again, at the end 2.5. The air begins at 0.
+    # Heard at 1.5 s with an age of 0.5 s; grown to 4.5 s at 5.5 s and reset to 0.5 s; 2.5 s at the end. The
+    # air begins at 0 s.
     assert pair.first_heard_s == 1.5
     assert pair.information_age_mean_s == pytest.approx((4.0 * 2.5 + 2.0 * 1.5) / 6.0)
     assert pair.information_age_max_s == pytest.approx(4.5)

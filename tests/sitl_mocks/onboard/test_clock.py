@@ -21,7 +21,7 @@ WAYS = [(0.15, 0.0), (0.0, 0.15), (0.15, 0.15), (0.02, 0.02), (0.0, 0.0)]
 STEP_S = 0.01
 TICK = 5
 SLACK_S = 0.055
-"""A question waits for a tick at most, and positions come every 100 ms."""
+"""A request waits for at most one tick, and positions arrive every 100 ms."""
 
 
 class Delayed:
@@ -110,7 +110,8 @@ def test_after_a_reboot_the_new_clock_counts(firmware):
 
 
 def test_forged_answers_move_nothing():
-    """From the vehicle itself, with a clock of their own, by somebody who does not see what is asked."""
+    """The forged answers seem to come from the vehicle, with another clock, from a sender that does not see
+    the requests."""
     alone, forged = (Delayed(Firmware.PX4, 0.05, 0.05) for _ in range(2))
     writer = MavlinkWriter(1, 1)
     told = [(5_000_000_000, 0, 1, 191), (125_000_000_000, 3_000_000_000, 1, 191), (1, 1, 0, 0)]

@@ -43,7 +43,8 @@ def test_head_on_is_avoided_and_the_same_item_is_flown_on(firmware, cooperating)
 
 
 def test_the_missions_own_speed_comes_with_the_mission():
-    """ArduPilot forgets it; with the request for AUTO, not after it, its leg begins with that speed."""
+    """ArduPilot forgets the speed. Sent with the request for AUTO and not after it, it applies to the whole
+    leg."""
     slow = item(2, 0.0, 0.0, command=178, params=(1.0, 3.0, -1.0, 0.0))
     items = (item(1, 0.0, 0.0, command=22), slow, item(3, 400.0, 0.0))
     sky = taken(head_on(Firmware.ARDUPILOT, mission=items))
@@ -84,7 +85,8 @@ def test_a_mission_that_is_faster_than_the_limit_is_told_of_once():
 
 
 def test_a_mission_that_replaces_a_slower_one_is_told_of_too():
-    """With another number of items, as ArduPilot says nothing of one with as many."""
+    """The new mission has another number of items, because ArduPilot does not report one with the same
+    number."""
     slow, fast = flown_at(4.0, (900.0, 0.0)), flown_at(9.0, (900.0, 0.0), (900.0, 50.0))
     one = Guarded("ONE", Firmware.ARDUPILOT, [(0.0, 0.0, 50.0)], mission=slow)
     sky = Sky(one).run(10.0)
@@ -131,7 +133,7 @@ def test_one_that_passes_far_aside_changes_nothing():
 
 
 def test_a_vehicle_that_waits_makes_way_and_comes_back():
-    """An item without a place: what is kept is the point where the vehicle was taken."""
+    """An item without a position: the vehicle keeps the point at which it was taken."""
     wait = item(2, 0.0, 0.0, command=93, params=(300.0, -1.0, -1.0, -1.0), lat_deg=0.0, lon_deg=0.0)
     items = (item(1, 0.0, 0.0, command=22), wait, item(3, 50.0, 0.0))
     one = Guarded("ONE", Firmware.ARDUPILOT, [(0.0, 0.0, 50.0)], mission=items)
@@ -146,7 +148,7 @@ def test_a_vehicle_that_waits_makes_way_and_comes_back():
 
 @pytest.mark.parametrize("firmware", Firmware)
 def test_the_item_is_waited_at_and_not_flown_past(firmware):
-    """Somebody stands behind the waypoint: the companion never flies on to the next item by itself."""
+    """An aircraft hovers behind the waypoint: the companion never continues to the next item by itself."""
     north = [(0.0, 0.0, 50.0), (150.0, 0.0, 50.0), (150.0, 200.0, 50.0)]
     one = Guarded("ONE", firmware, north)
     two = Guarded("TWO", Firmware.PX4, [(158.0, 0.0, 50.0)], guarded=False, number=2)
@@ -175,7 +177,8 @@ def test_a_mission_changed_meanwhile_is_not_resumed(firmware):
 
 @pytest.mark.parametrize("firmware", Firmware)
 def test_a_mission_replaced_while_it_is_watched_is_given_back(firmware):
-    """As many items, on another link: the mock says nothing of it, as ArduPilot does not."""
+    """A mission with the same number of items is uploaded on another link. Like ArduPilot, the mock does not
+    report it."""
     sky = head_on(firmware)
     one = sky.aircraft[0]
     sky.until(lambda: one.state is State.WATCHING)
@@ -202,7 +205,7 @@ def test_the_pilot_wins_in_every_phase(firmware, moment):
     sky.until(lambda: one.core.own.mode is not FlightMode.EXTERNAL, 3.0)
     since = len(one.to_vehicle)
     sky.run(30.0)
-    # Nothing after the step that saw the mode.
+    # No setpoint leaves after the step that saw the mode.
     assert setpoints_sent(one, since) == 0
     assert one.states()[-1] == "yielded"
     assert one.vehicle.mode is VehicleMode.HOLD

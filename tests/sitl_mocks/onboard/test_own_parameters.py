@@ -28,7 +28,7 @@ class Station:
         self.pair.onboard = CompanionSystem(config, self.pair.steps.append, settings=settings)
         self._writer, self._reader = MavlinkWriter(255, 190), MavlinkReader()
         self._heard = []
-        # The autopilot learns by what it hears on which link who is.
+        # The autopilot learns from received frames which system is on which link.
         self.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
 
     def send(self, message):
@@ -82,7 +82,7 @@ def test_a_station_switches_off_and_on_and_sets_a_speed_for_the_next_path():
 
 @pytest.mark.parametrize("firmware", Firmware)
 def test_a_station_beside_the_companion_does_the_same_on_both_firmwares(firmware):
-    """PX4 passes nothing on here: a router, or the companion's own link, does."""
+    """PX4 does not forward here; a router or the companion's own link does."""
     station = Station(firmware=firmware)
     pair = station.pair
     station.run(12.0)

@@ -131,7 +131,7 @@ class ThirdParty:
     def __init__(self, way: str, message: mavlink.MAVLink_message, firmware: Firmware) -> None:
         self._writers = [MavlinkWriter(1, 191), MavlinkWriter(255, 190)]
         self._message = message
-        # The forger knows the time, and dates his frames ahead of everybody else's.
+        # The forger knows the time and gives its frames the latest timestamps.
         self._signing = Signing(OTHER_KEY, timestamp_at(UTC_S + 30.0), 0.0)
         self._way = way
 
@@ -174,7 +174,7 @@ def test_the_attack_works_where_nothing_is_signed(firmware, message):
 
 @pytest.mark.parametrize("firmware", Firmware)
 def test_what_the_companion_said_once_is_not_obeyed_again(firmware):
-    """All its bytes, with the SET_MODE, setpoints and all: replayed on the same link and on another."""
+    """All recorded bytes, with SET_MODE and setpoints, are replayed on the same link and on another one."""
     pair = Signed(firmware)
     pair.run(4.0)
     recorded = pair.up

@@ -46,7 +46,7 @@ from tests.support.place import HOME
 VEHICLES_OWN = {"fence": "vehicle"}
 SPEED_MPS = 3.0
 MEETS_S = 70.0
-"""So far ahead, crewed traffic is a caution before it is a warning."""
+"""With this look-ahead, crewed traffic is a caution before it is a warning."""
 BOTH = pytest.mark.parametrize("firmware", Firmware)
 
 
@@ -108,7 +108,7 @@ class Meeting(Pair):
         super().__init__(firmware, config, **{"velocity_lag_s": 0.5, **options})
 
     def texts(self):
-        """STATUSTEXT as sent, chunks joined; without a number (0) it is whole."""
+        """STATUSTEXT as sent, with its chunks joined. A text with id 0 is whole."""
         chunks = [m for m in MavlinkReader().feed(b"".join(self.sent)) if m.get_type() == "STATUSTEXT"]
         found = {}
         for number, m in enumerate(chunks):
@@ -122,7 +122,7 @@ class Meeting(Pair):
         return event_record.MAGIC + b"".join(event_record.encode(item) for item in (header, *self.steps))
 
     def least(self, flight):
-        """Least distances of the flight (m): to the side while within 50 m of height, of all."""
+        """Least distances of the flight (m): horizontal while within 50 m of height, and in space."""
         own = np.array(self.places)
         other = np.array([place_of(flight, TICK_S * tick) for tick in range(len(own))])
         aside = np.hypot(*(own - other)[:, :2].T)
@@ -135,7 +135,7 @@ class Meeting(Pair):
 
 @pytest.fixture(scope="module", params=Firmware)
 def crossed(request):
-    """A flight whose path crewed traffic crosses, its height told by its altimeter."""
+    """A flight whose path crewed traffic crosses. That aircraft reports its barometric altitude."""
     return Meeting(request.param, traffic=(crossing(MEETS_S),)).run(MEETS_S + 16.0)
 
 
@@ -147,7 +147,8 @@ def test_crewed_traffic_that_crosses_the_path_is_kept_clear_of(crossed):
 
 @BOTH
 def test_or_it_is_passed_above_or_below(firmware):
-    """A geometric altitude separates: from one that flies 20 m lower it climbs until there are 50 m."""
+    """A geometric altitude can be used to separate: from traffic 20 m lower it climbs until there are 50
+    m."""
     flight = crossing(geometric=True, start_ned_m=(SPEED_MPS * 48.0, -2500.0, -30.0))
     pair = Meeting(firmware, traffic=(flight,)).run(58.0)
     level, beside = pair.least(flight)
@@ -214,7 +215,8 @@ def test_threats_reach_the_vehicle(crossed):
 @pytest.mark.parametrize("down_m", [-50.0, -60.0, -70.0])
 @BOTH
 def test_crewed_traffic_above_does_not_press_us_into_the_ground(firmware, down_m):
-    """No floor is configured: 15 m above home, or the lowest point of a path that is lower, are one."""
+    """No floor is configured, so the floor is 15 m above home, or the path's lowest point if that is
+    lower."""
     flight = crossing(geometric=True, start_ned_m=(144.0, -2500.0, down_m))
     pair = Meeting(firmware, traffic=(flight,)).run(58.0)
     assert min(-down for _, _, down in pair.places) > 14.0
@@ -280,7 +282,7 @@ def intruder(now_s, north_m):
 
 @BOTH
 def test_beside_a_fence_a_conflict_is_solved_inside_and_the_reason_says_so(firmware):
-    """To the right, where it would turn, are 5 m."""
+    """On the right, to which it would turn, there are 5 m of room."""
     largest, nearest = {}, {}
     for east_m in (200.0, 5.0):
         pair = Meeting(firmware, fence_file=(corridor(-200.0, east_m),), limits={"fence": "fence.toml"})

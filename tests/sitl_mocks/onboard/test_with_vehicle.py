@@ -78,7 +78,7 @@ class MissionPair(Pair):
         super().__init__(firmware, config, mission=mission, **options)
 
     def set(self, name, number, kind=9):
-        """A ground station's PARAM_SET; ends with what the vehicle holds."""
+        """Send PARAM_SET as a ground station does."""
         message = mavlink.MAVLink_param_set_message(self.vehicle.options.system_id, 1, name, number, kind)
         self.vehicle.receive(MavlinkWriter(255, 190).pack(message), self.tick * TICK_S)
 
@@ -170,7 +170,7 @@ def test_a_silent_companion_leaves_the_vehicle_to_its_own_failsafe(firmware):
     else:
         assert pair.vehicle.mode is VehicleMode.EXTERNAL
         assert math.hypot(*pair.vehicle.velocity_ned_mps) < 1.0
-    # Back after the pause the loop is late: fault, then, on PX4, the vehicle's own mode is respected.
+    # After the pause the loop is late, which is a fault. On PX4 the vehicle's own mode is then respected.
     pair.tick += 100
     pair.run(1.5)
     moves = [c.state for c in pair.commands(AuthorityChanged)]
@@ -221,13 +221,14 @@ def test_corners_are_rounded_not_overshot(firmware):
         pair.run(0.2)
         if pair.state in HOLDING and pair.onboard.core.in_control:
             worst = max(worst, pair.vehicle.position_ned_m[0] - 60.0)
-    # 3 m/s into a right angle at 60 m north, 1 m/s2: fed forward blindly it went more than 6 m too far.
+    # 3 m/s into a right angle at 60 m north, with 1 m/s2: feed-forward alone overshot by more than 6 m.
     assert worst < 3.0
 
 
 @pytest.mark.parametrize("firmware", Firmware)
 def test_a_mission_of_many_items_comes_over_a_slow_link(firmware):
-    """0.1 s each way, as telemetry radios have, for each of 80 items: asked anew, it would begin again."""
+    """0.1 s each way, as with telemetry radios, for each of 80 items. A second request would restart the
+    download."""
     pair = MissionPair(firmware, mission=tuple(waypoint(seq, 10.0 * seq, 0.0, 50.0) for seq in range(1, 81)))
     down, up = deque([b""] * 2), deque([b""] * 2)
     for tick in range(round(25.0 / TICK_S)):
@@ -290,7 +291,7 @@ def test_a_mission_faster_than_the_vehicle_is_refused(firmware):
     assert pair.state is State.STANDBY
     (said,) = [c.text for c in pair.commands(Say) if "path refused" in c.text]
     assert f"m/s is above the vehicle's {words}" in said
-    # The operator makes it faster: it is heard, and the path tried again.
+    # The operator raises the limit: the companion learns of it and tries the path again.
     pair.set(name, 4.0 * number)
     pair.run(15.0)
     assert pair.state in HOLDING

@@ -41,7 +41,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     },
     OFFBOARD: {"firmware": Firmware.PX4, "rc_connected": False, "start_mode": VehicleMode.EXTERNAL},
 }
-# Asked for before the recording began, as its first seconds show.
+# Requested before the recording began, as its first seconds show.
 _ASKED = {GUIDED: {42: 10.0}, ODID: {}, OFFBOARD: {}}
 ALL = [f"{kind}/{name}" for kind in ("thinned", "full") for name in _OPTIONS]
 
@@ -250,7 +250,8 @@ def test_current_mission_item(pair: Pair) -> None:
     assert [t for t, _ in mock] == pytest.approx([t for t, _ in real], abs=tolerance_s)
 
 
-# Texts of parts that the mock has not: sensors, estimator, RC switches; and the reminder every 30 s.
+# Texts about parts that the mock does not have (sensors, estimator, RC switches), and the reminder every 30
+# s.
 _NOT_TOLD = ("EKF", "AHRS", "GPS ", "RC7", "Field Elevation", "ArduPilot Ready", "PreArm", "SIM ")
 
 
@@ -296,7 +297,7 @@ def test_message_rates(which: str, names: str) -> None:
 
 @only(ODID)
 def test_reports_of_crewed_aircraft(pair: Pair) -> None:
-    """Four aircraft: 4.4 a second on the real one, whose list began anew 10 % more often."""
+    """Four aircraft: 4.4 a second on the real one, whose list restarted 10 % more often."""
     real, mock = (flight.rate_hz("ADSB_VEHICLE", 10.0, 100.0) for flight in pair.both)
     assert mock == pytest.approx(real, rel=0.11)
 

@@ -159,10 +159,10 @@ def test_px4_sends_one_list_at_a_time(bench):
     assert ask(b, 0) == []
     assert item(b, 0, kind=0) == []
     assert item(b, 0) == item(b, 1) == ["MISSION_ITEM_INT"]
-    # Nor may it be changed meanwhile.
+    # Nor may it be changed during the transfer.
     assert b.send(mavlink.MAVLink_mission_clear_all_message(1, 1, FENCE)) == []
     assert b.send(mavlink.MAVLink_mission_count_message(1, 1, 3, FENCE)) == []
-    # Cancelled, it serves the other; so it does after 5 s of silence.
+    # After a cancellation, or 5 s of silence, it serves the other partner.
     b.send(mavlink.MAVLink_mission_ack_message(1, 1, mavlink.MAV_MISSION_OPERATION_CANCELLED, FENCE))
     assert ask(b, 0) == ["MISSION_COUNT"]
     assert item(b, 0, kind=0) == ["MISSION_ITEM_INT"]

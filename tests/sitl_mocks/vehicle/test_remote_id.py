@@ -88,7 +88,7 @@ def test_what_it_is_told_is_relayed_as_received(bench):
     b.vehicle.advance(4.0)
     relayed = {f.message_id: f.payload for f in FrameScanner().frames(b.vehicle.drain())}
     assert {number: relayed[number] for number in told} == payloads
-    # An update moves the stored System, and nothing else in it.
+    # An update changes the position in the stored System and nothing else.
     b.now_s = 4.0
     b.send(update(77))
     moved = [m for m in b.run(4.0) if m.get_type() == "OPEN_DRONE_ID_SYSTEM"][-1]
@@ -97,7 +97,7 @@ def test_what_it_is_told_is_relayed_as_received(bench):
 
 
 def test_what_a_receiver_heard_of_another_aircraft_is_taken_for_its_own(bench):
-    """The firmware looks at no address; its SYSTEM_UPDATE then tells the other aircraft's operator."""
+    """The firmware ignores addresses, so its SYSTEM_UPDATE then carries the other aircraft's operator."""
     b = bench(did_enable=True)
     other = mavlink.MAVLink_open_drone_id_system_message(
         0, 0, b"\x01" * 20, 1, 0, 475000000, 86000000, 1, 0, -1000.0, -1000.0, 0, 0, 390.0, 7

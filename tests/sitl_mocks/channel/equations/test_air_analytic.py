@@ -1,4 +1,5 @@
-"""The channel equations frame by frame: they come out again when frames are sent as the equations assume."""
+"""The channel equations frame by frame: if frames are sent as the equations assume, the same values
+result."""
 
 from __future__ import annotations
 
@@ -54,7 +55,8 @@ def zero_within(samples: np.ndarray, sigmas: float = 4.0) -> bool:
     ("mode", "rate"), [("ble4", 9), ("ble4", 5), ("ble5", 10), ("ble5", 3), ("wifi", 10), ("wifi", 5)]
 )
 def test_frames_at_the_equations_times_give_the_equations_delay(mode: str, rate: int) -> None:
-    """A renewal: delay of the first frame heard in a GNSS period, or a period more and the same again."""
+    """A renewal equation: the delay of the first frame received in a GNSS period; if none, one period more
+    and so on."""
     air = Air(seed=rate)
     receivers: dict[str, float | None] = {f"r{k}": 1.0 for k in range(250)}
     interval = event_period(mode, rate, PAPER)
@@ -146,7 +148,8 @@ def test_the_share_heard_without_collisions_differs_from_that_with_them() -> Non
 
 
 def test_others_count_with_what_they_sent_in_the_last_gnss_period() -> None:
-    """100 beacons of 5 ms in a second leave nothing; a second after the last one all is quiet again."""
+    """100 beacons of 5 ms in a second leave no free air. A second after the last one the air is idle
+    again."""
     parameters = ChannelParameters(wifi=WifiParameters(beacon_ms=5.0, scan_ms=100.0, switch_ms=0.0))
     air = Air(parameters)
     receivers: dict[str, float | None] = {f"r{k}": 1.0 for k in range(300)}

@@ -39,13 +39,12 @@ def test_best_rates_and_jumps_of_the_paper():
     ble4, ble5, wifi = (delays_ms(mode) for mode in MODES)
     assert [1 + int(np.argmin(d)) for d in (ble4, ble5, wifi)] == [9, 10, 10]
     assert [r + 1 for r in range(1, 10) if ble4[r] > ble4[r - 1]] == [5, 10]
-    # The paper names 4, 7 and 8 for Wi-Fi: of these only 8 comes out.
+    # The paper names 4, 7 and 8 for Wi-Fi. Of these only 8 is reproduced.
     assert [r + 1 for r in range(1, 10) if wifi[r] > wifi[r - 1]] == [2, 6, 8]
 
 
 def test_delay_is_the_first_success_of_a_simulated_sequence():
-    """The terms' polynomial against a sum over the periods one after the other, phases redrawn, by
-    enumeration."""
+    """The polynomial of the terms against an enumerated sum over successive periods with redrawn phases."""
     p = 0.4
     matches, cycle = matching_packets("ble4", 9, PAPER), scan_of("ble4", PAPER).cycle
     within, nothing = 0.0, 0.0

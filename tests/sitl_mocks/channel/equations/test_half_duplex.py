@@ -94,7 +94,7 @@ def test_the_share_that_is_heard_is_that_of_the_packets(rates):
     chances = np.array([meeting_chances(name, STANDARD)[0][0] for name in ("ble4", "ble5")])
     told = chances * (1.0 - found.loss[:, :2].mean(0))
     assert packets(REAL) == pytest.approx(told, rel=0.05)
-    # It is the deafness that is told, not the crowd.
+    # The loss is caused by deafness while sending, not by collisions.
     if rates[0, BLE5] > 2:
         assert (packets(replace(REAL, half_duplex=False)) > 1.07 * told).all()
 

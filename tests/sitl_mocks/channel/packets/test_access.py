@@ -74,7 +74,7 @@ def test_only_a_medium_idle_for_a_difs_is_free_at_once(at: int, expected: float)
 
 def test_stations_that_do_not_hear_each_other_do_not_wait() -> None:
     assert begins(Want(0, 100, 1, {2}), Want(1, 110, 1, {2})) == [100, 110]
-    # One way is enough for the one that hears.
+    # It is enough that one of the two hears the other.
     assert begins(Want(0, 100, 1, {1}), Want(1, 110, 1, NOBODY)) == [100, 137]
     assert begins(Want(0, 100, 1, NOBODY), Want(1, 110, 1, {0})) == [100, 110]
 
@@ -104,7 +104,7 @@ def test_countdowns_that_end_together_collide() -> None:
 
 def test_other_channels_do_not_wait() -> None:
     assert begins(Want(0, 100, channel=0), Want(1, 110, channel=1), Want(2, 120, 1)) == [100, 110, 137]
-    # Nor does a countdown stand for them.
+    # Nor does a countdown stop for them.
     assert begins(Want(0, 100), Want(1, 110, 10), Want(2, 145, channel=1)) == [100, 155, 145]
 
 
