@@ -24,16 +24,33 @@ def check(config: Config, name: str) -> None:
         Verifier(config.traffic.keys)
     except ConfigError as error:
         raise ConfigError(f"{name}: {error}") from error
-    flight, limits = config.flight, config.limits
     try:
         check_identity(config.identity, config.remote_id, config.region)
     except ValueError as error:
         raise ConfigError(f"{name}: {error}") from error
+    _check_flight(config, name)
+    _check_limits(config, name)
+    use = config.flight.use
+    if use != "watch" and not config.has_radio and LAWS[config.avoidance.law].avoids:
+        otherwise = ', or avoidance.law = "none"' if use == "fly" else ""
+        raise ConfigError(
+            f"{name}: radio: none configured, so no aircraft is heard; "
+            f'use = "{use}" needs a [[radio]]{otherwise}'
+        )
+    if config.remote_id.component and config.vehicle.component_id == 236:
+        raise ConfigError(f"{name}: vehicle.component_id: 236 is used by remote_id.component; choose another")
+    check_form(config.vehicle.link, LINK_FORMS, f"{name}: vehicle.link")
+    for number, entry in enumerate(config.radio):
+        entry.check(f"{name}: radio[{number}]")
+
+
+def _check_flight(config: Config, name: str) -> None:
+    """Check that what is to be flown is given, and that a guarding law avoids."""
+    flight, law = config.flight, LAWS[config.avoidance.law]
     if flight.use == "guard" and (flight.trajectory is not None or config.path is not None):
         raise ConfigError(
             f'{name}: flight.trajectory: remove it; use = "guard" guards the mission that the vehicle flies'
         )
-    law = LAWS[config.avoidance.law]
     if flight.use == "guard" and not law.avoids:
         raise ConfigError(
             f'{name}: avoidance.law: "{config.avoidance.law}" avoids no aircraft; use = "guard" needs a law '
@@ -46,12 +63,17 @@ def check(config: Config, name: str) -> None:
     if flight.start == "utc" and flight.start_utc_s is None:
         raise ConfigError(f'{name}: flight.start_utc_s: missing; start = "utc" needs it (Unix seconds)')
     speed = flight.mission_speed_mps
-    if speed is not None and speed > limits.max_speed_mps:
+    if speed is not None and speed > config.limits.max_speed_mps:
         raise ConfigError(
             f"{name}: flight.mission_speed_mps: {speed:g} is above limits.max_speed_mps "
-            f"{limits.max_speed_mps:g}"
+            f"{config.limits.max_speed_mps:g}"
         )
-    if limits.fence is not None and not law.keeps_fence:
+
+
+def _check_limits(config: Config, name: str) -> None:
+    """Check the fence, the floor and the ceiling."""
+    limits = config.limits
+    if limits.fence is not None and not LAWS[config.avoidance.law].keeps_fence:
         keeping = " or ".join(f'"{key}"' for key, kind in LAWS.items() if kind.keeps_fence)
         raise ConfigError(
             f"{name}: limits.fence: needs avoidance.law = {keeping}; {config.avoidance.law!r} keeps no fence"
@@ -65,14 +87,3 @@ def check(config: Config, name: str) -> None:
         raise ConfigError(
             f"{name}: limits.ceiling_height_m: {ceiling:g} must be 5 m or more above floor_height_m {floor:g}"
         )
-    if flight.use != "watch" and not config.has_radio and law.avoids:
-        otherwise = ', or avoidance.law = "none"' if flight.use == "fly" else ""
-        raise ConfigError(
-            f'{name}: radio: none configured, so no aircraft is heard; use = "{flight.use}" needs a [[radio]]'
-            f"{otherwise}"
-        )
-    if config.remote_id.component and config.vehicle.component_id == 236:
-        raise ConfigError(f"{name}: vehicle.component_id: 236 is used by remote_id.component; choose another")
-    check_form(config.vehicle.link, LINK_FORMS, f"{name}: vehicle.link")
-    for number, entry in enumerate(config.radio):
-        entry.check(f"{name}: radio[{number}]")

@@ -47,18 +47,7 @@ def load(path: Path) -> Config:
     if fence is not None and fence != "vehicle" and not config.fence:
         config = msgspec.structs.replace(config, fence=_beside(path, "limits.fence", fence, load_fence))
     if config.remote_id.region is not None:
-        try:
-            region = decode_toml(path.parent / config.remote_id.region, Region)
-        except ConfigError as error:
-            if isinstance(error.__cause__, FileNotFoundError | IsADirectoryError):
-                raise ConfigError(
-                    f"{path}: remote_id.region: {config.remote_id.region!r}: no such file; give "
-                    f'the path of a profile relative to {path.name}, such as "regions/us.toml"; the '
-                    "project's profiles are in config/regions"
-                ) from error
-            raise ConfigError(f"{path}: remote_id.region: {error}") from error
-        remote_id = msgspec.structs.replace(config.remote_id, region=None)
-        config = msgspec.structs.replace(config, remote_id=remote_id, region=region)
+        config = _with_region(config, config.remote_id.region, path)
     if config.atmc.policy is not None and config.atmc.policy not in CHOOSER_WORDS:
         # Not read here: a policy that cannot be read is no configuration error, the companion then flies with
         # a fixed set of transports.
@@ -81,6 +70,21 @@ def load(path: Path) -> Config:
         config = msgspec.structs.replace(config, traffic=traffic)
     check(config, str(path))
     return config
+
+
+def _with_region(config: Config, profile: str, path: Path) -> Config:
+    """The configuration with the region's profile, which the file names by a relative path."""
+    try:
+        region = decode_toml(path.parent / profile, Region)
+    except ConfigError as error:
+        if isinstance(error.__cause__, FileNotFoundError | IsADirectoryError):
+            raise ConfigError(
+                f"{path}: remote_id.region: {profile!r}: no such file; give the path of a profile relative "
+                f'to {path.name}, such as "regions/us.toml"; the project\'s profiles are in config/regions'
+            ) from error
+        raise ConfigError(f"{path}: remote_id.region: {error}") from error
+    remote_id = msgspec.structs.replace(config.remote_id, region=None)
+    return msgspec.structs.replace(config, remote_id=remote_id, region=region)
 
 
 def _raw_identity(identity: IdentityConfig, path: Path) -> IdentityConfig:

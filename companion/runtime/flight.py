@@ -98,16 +98,7 @@ class Flight:
                 "dry run: nothing is broadcast and nothing is commanded; the autopilot is only asked for "
                 "telemetry, its mission and its fence"
             )
-        with contextlib.ExitStack() as undo:
-            # What is open is closed again if a later step fails.
-            undo.callback(self._voice.close)
-            self._signing = KeptSigning(config)
-            self.link = KeptLink(config.vehicle.link, self._say)
-            undo.callback(self.link.close)
-            self.radio = Radios(config, sending=not dry_run)
-            undo.callback(self.radio.close)
-            self._arm_broadcast(config)
-            undo.pop_all()
+        self._open(config, dry_run=dry_run)
         self._policy = self._read_policy(config)
         settings = self._read_settings(config)
         self._kept_settings = KeptSettings(config, settings)
@@ -137,6 +128,18 @@ class Flight:
         # later collections short.
         gc.collect()
         gc.freeze()
+
+    def _open(self, config: Config, *, dry_run: bool) -> None:
+        """Open the link and the radios. What is open is closed again if a later step fails."""
+        with contextlib.ExitStack() as undo:
+            undo.callback(self._voice.close)
+            self._signing = KeptSigning(config)
+            self.link = KeptLink(config.vehicle.link, self._say)
+            undo.callback(self.link.close)
+            self.radio = Radios(config, sending=not dry_run)
+            undo.callback(self.radio.close)
+            self._arm_broadcast(config)
+            undo.pop_all()
 
     def _system(self, config: Config, settings: Settings, *, dry_run: bool) -> CompanionSystem:
         """Make the core with link and gate."""

@@ -270,6 +270,13 @@ def _flight(
         problems.append(
             f"{tlog.name}: there is no vehicle; {log.counts.records} records have no autopilot's HEARTBEAT"
         )
+    return _logged(log, tlog, folder, problems, notes)
+
+
+def _logged(
+    log: read_tlog.Tlog, tlog: Path, folder: Path, problems: list[str], notes: list[str]
+) -> list[AircraftRecord]:
+    """The vehicles of a telemetry log."""
     found = []
     for vehicle in log.vehicles:
         name = tlog.stem if len(log.vehicles) == 1 else f"{tlog.stem} {vehicle.system_id}"
