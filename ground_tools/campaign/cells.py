@@ -26,7 +26,7 @@ from companion.traffic import doubts, eviction, fix, plausibility, reception, se
 from ground_tools.campaign import compiled, flight, generators, outcome, vehicles
 from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.generators import draw
-from ground_tools.campaign.world import W_PERIOD, World
+from ground_tools.campaign.world import World
 from ground_tools.common.kept_lines import Kept
 from sitl_mocks.encounters import scenario
 
@@ -217,9 +217,9 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
         delay_s=cell.delay_s,
         loss=cell.loss,
     )
-    n, row = cell.aircraft, world.row(avoidance.period_s)
+    n, conditions = cell.aircraft, world.conditions(avoidance.period_s)
     steps = round((world.end_s - world.start_s) / world.step_s) if looked else 0
-    decisions = math.ceil(steps / row[W_PERIOD])
+    decisions = math.ceil(steps / conditions.period)
     trace, log = np.zeros((steps, n, 3)), flight.new_log(n, decisions)
     pairs, result = np.zeros((n, n, outcome.PAIR_ENTRIES)), np.zeros(outcome.FLIGHT_ENTRIES)
     rng = np.random.default_rng([seed, 7])
@@ -228,9 +228,9 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
             law.Law(avoidance if kind == vehicles.AVOIDS else LAWS["none"], own, path, fence)
             for kind, own, path in zip(kinds.tolist(), limits, paths, strict=True)
         ]
-        twin_flight.fly(rng, row, times, points, fence, settings, kinds, laws, pairs, result)
+        twin_flight.fly(rng, conditions, times, points, fence, settings, kinds, laws, pairs, result)
     else:
-        flight.fly(rng, row, times, points, fence, settings, kinds, trace, log, pairs, result)
+        flight.fly(rng, conditions, times, points, fence, settings, kinds, trace, log, pairs, result)
     found = _row(seed, result, pairs[np.tril_indices(n, -1)])
     return Look(found, world, avoidance, tuple(limits), fence, times, points, kinds, trace, log)
 

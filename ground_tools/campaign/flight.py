@@ -23,7 +23,9 @@ from ground_tools.campaign.vehicles import (
     BAROMETRIC,
     CREWED,
     FROZEN,
+    M_POSITION,
     M_TIME,
+    M_VELOCITY,
     MESSAGE_COLUMNS,
     TURNING,
     Fleet,
@@ -32,18 +34,7 @@ from ground_tools.campaign.vehicles import (
     on_the_ground,
     send,
 )
-from ground_tools.campaign.world import (
-    W_BLACKOUT,
-    W_CEILING,
-    W_DECLARED,
-    W_END,
-    W_FLOOR,
-    W_MESSAGE,
-    W_PERIOD,
-    W_SIGMA_VELOCITY,
-    W_START,
-    W_STEP,
-)
+from ground_tools.campaign.world import Conditions
 
 CREWED_SHARE = share_of(FREE, CREWED_RANK)
 _TURN_S = 4.0
@@ -158,7 +149,7 @@ _inlined = compiled(inline="always")
 
 def fly(
     rng: np.random.Generator,
-    world: Floats,
+    world: Conditions,
     path_times: Floats,
     path_points: Floats,
     fence: Floats,
@@ -173,7 +164,7 @@ def fly(
 
     Args:
         rng: source of all random draws of the flight.
-        world: WORLD_ENTRIES values.
+        world: from `World.conditions`.
         path_times, path_points: shapes (A, K) and (A, K, 3): each aircraft's timed path, NED.
         fence: as in `kernels.decide`, the same for all aircraft.
         settings: shape (A, fields of `kernels.Settings`): settings of each aircraft's law.
@@ -198,7 +189,7 @@ def fly(
 @_compiled
 def _fly(
     rng: np.random.Generator,
-    world: Floats,
+    world: Conditions,
     path_times: Floats,
     path_points: Floats,
     fence: Floats,
@@ -216,13 +207,13 @@ def _fly(
     dark_from: float,
 ) -> None:
     """The loop of `fly`."""
-    step = world[W_STEP]
-    every, message_every = int(world[W_PERIOD]), int(world[W_MESSAGE])
-    steps = round((world[W_END] - world[W_START]) / step)
+    step = world.step_s
+    every, message_every = int(world.period), int(world.message)
+    steps = round((world.end_s - world.start_s) / step)
     for tick in range(steps):
-        now = world[W_START] + tick * step
-        blacked = now >= dark_from and now < dark_from + world[W_BLACKOUT]
-        unfit = now >= dark_from and now < dark_from + world[W_BLACKOUT] + _FIT_AGAIN_S
+        now = world.start_s + tick * step
+        blacked = now >= dark_from and now < dark_from + world.blackout_s
+        unfit = now >= dark_from and now < dark_from + world.blackout_s + _FIT_AGAIN_S
         for i in range(len(kinds)):
             if (tick + craft.phase[i]) % message_every == 0 and not (i == dark and blacked):
                 slot = send(rng, world, tick, i, kinds, craft)
@@ -233,7 +224,7 @@ def _fly(
                 if i == dark and unfit:
                     craft.command[i, 0] = craft.command[i, 1] = craft.command[i, 2] = 0.0
                     continue
-                _receive(now, world[W_DECLARED], i, craft, mind)
+                _receive(now, world.declared_m, i, craft, mind)
                 count = _look(world, now, i, kinds, craft, mind)
                 own, law = _own(world, now, i, craft), k.settings_at(settings, i)
                 decision = k.decide(
@@ -261,12 +252,12 @@ def _fly(
                     trace[tick, i, c] = craft.position[i, c]
 
 
-def _blackout(rng: np.random.Generator, world: Floats, kinds: Floats) -> tuple[int, float]:
+def _blackout(rng: np.random.Generator, world: Conditions, kinds: Floats) -> tuple[int, float]:
     """Index of the aircraft that loses GNSS (-1: none), and the time at which it does."""
     dark, dark_from = -1, math.inf
-    if world[W_BLACKOUT] > 0.0:
+    if world.blackout_s > 0.0:
         dark = int(rng.integers(0, len(kinds)))
-        middle = 0.5 * (world[W_START] + world[W_END])
+        middle = 0.5 * (world.start_s + world.end_s)
         dark_from = middle + rng.uniform(-_BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S)
         if kinds[dark] != AVOIDS:
             dark = -1
@@ -274,13 +265,13 @@ def _blackout(rng: np.random.Generator, world: Floats, kinds: Floats) -> tuple[i
 
 
 @_inlined
-def _own(world: Floats, now: float, i: int, craft: Fleet) -> k.Own:
+def _own(world: Conditions, now: float, i: int, craft: Fleet) -> k.Own:
     """The state of aircraft i as it knows it."""
     p, e, v, f = craft.position, craft.error, craft.velocity, craft.own_error
     return k.Own(
         k.Vector(p[i, 0] + e[i, 0], p[i, 1] + e[i, 1], p[i, 2] + e[i, 2]),
         k.Vector(v[i, 0] + f[i, 0], v[i, 1] + f[i, 1], v[i, 2] + f[i, 2]),
-        world[W_DECLARED], now, now, world[W_FLOOR], world[W_CEILING],
+        world.declared_m, now, now, world.floor_down_m, world.ceiling_down_m,
     )  # fmt: skip
 
 
@@ -336,14 +327,19 @@ def _receive(now: float, declared: float, i: int, craft: Fleet, mind: Mind) -> N
                         heard[i, j, c] = sent[j, slot, c]
                     mind.got[i, j] = now
                     m = heard[i, j]
+                    p, v = m[M_POSITION:M_VELOCITY], m[M_VELOCITY:MESSAGE_COLUMNS]
                     past = k.note_track(
-                        k.past_at(mind.pasts[i], j), m[0], (m[1], m[2], m[3]), (m[4], m[5], m[6]), declared
+                        k.past_at(mind.pasts[i], j),
+                        m[M_TIME],
+                        (p[0], p[1], p[2]),
+                        (v[0], v[1], v[2]),
+                        declared,
                     )
                     k.put_past(mind.pasts[i], j, past)
 
 
 @_inlined
-def _look(world: Floats, now: float, i: int, kinds: Floats, craft: Fleet, mind: Mind) -> int:
+def _look(world: Conditions, now: float, i: int, kinds: Floats, craft: Fleet, mind: Mind) -> int:
     """Write the aircraft that aircraft i knows to `neighbours` and `senders`. Returns their number."""
     count = 0
     for j in range(len(kinds)):
@@ -351,13 +347,14 @@ def _look(world: Floats, now: float, i: int, kinds: Floats, craft: Fleet, mind: 
         age = max(now + craft.clock[i] - m[M_TIME], 0.0)
         if j == i or age > OLDEST_S:
             continue
+        p, v = m[M_POSITION:M_VELOCITY], m[M_VELOCITY:MESSAGE_COLUMNS]
         past = k.past_at(mind.pasts[i], j)
         crewed = kinds[j] == CREWED or kinds[j] == BAROMETRIC
         silent = not crewed and now - mind.got[i, j] > k.silent_after(past.gap_s)
         known = k.Other(
-            m[1], m[2], m[3], m[4], m[5], m[6], age,
-            adsb.SIGMA_M if crewed else world[W_DECLARED],
-            adsb.SIGMA_MPS if crewed else world[W_SIGMA_VELOCITY],
+            p[0], p[1], p[2], v[0], v[1], v[2], age,
+            adsb.SIGMA_M if crewed else world.declared_m,
+            adsb.SIGMA_MPS if crewed else world.sigma_mps,
             0.0 if crewed else past.growth_mps,
             1.0 if silent else 0.0,
             CREWED_SHARE if crewed else 0.5,

@@ -11,7 +11,7 @@ from companion.arrays import Floats
 from companion.avoidance import kernels as k
 from ground_tools.campaign.compiled import compiled
 from ground_tools.campaign.vehicles import AVOIDS, BAROMETRIC, CREWED, Fleet
-from ground_tools.campaign.world import W_START, W_STEP
+from ground_tools.campaign.world import Conditions
 
 COLLISION_M = 2.0
 AWAY_M = 15.0
@@ -129,7 +129,7 @@ def _least_distance2(position: Floats, before: Floats, i: int, j: int) -> float:
 
 @_inlined
 def measure(
-    world: Floats,
+    world: Conditions,
     tick: int,
     path_times: Floats,
     path_points: Floats,
@@ -146,11 +146,11 @@ def measure(
     Args:
         late: shape (A,): delay of each path, s.
     """
-    now = world[W_START] + tick * world[W_STEP]
+    now = world.start_s + tick * world.step_s
     position, before, way, gaps = craft.position, craft.before, tally.way, tally.gap
     conflict_at, recovery, away_since = tally.conflict_at, tally.recovery, tally.away_since
     for i in range(len(kinds)):
-        n, e, d = k.path_position(path_times[i], path_points[i], now + world[W_STEP] - late[i])
+        n, e, d = k.path_position(path_times[i], path_points[i], now + world.step_s - late[i])
         pn, pe, pd = k.path_position(path_times[i], path_points[i], now - late[i])
         way[1] += math.sqrt((n - pn) ** 2 + (e - pe) ** 2 + (d - pd) ** 2)
         way[0] += math.sqrt(

@@ -21,18 +21,7 @@ from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.traffic.tracks import Traffic
 from ground_tools.campaign import outcome, vehicles
-from ground_tools.campaign.world import (
-    W_CEILING,
-    W_DECLARED,
-    W_DELAY_LOW,
-    W_END,
-    W_FLOOR,
-    W_MESSAGE,
-    W_PERIOD,
-    W_SIGMA_VELOCITY,
-    W_START,
-    W_STEP,
-)
+from ground_tools.campaign.world import Conditions
 from ground_tools.inspect.read.truth import ORIGIN
 
 FRAME = LocalFrame(*ORIGIN)
@@ -42,7 +31,7 @@ VICTIM = 1
 
 def fly(
     rng: np.random.Generator,
-    world: Floats,
+    world: Conditions,
     path_times: Floats,
     path_points: Floats,
     fence: Floats,
@@ -63,13 +52,13 @@ def fly(
     craft, tally = vehicles.on_the_ground(fleet, world), outcome.nothing_yet(fleet, pairs, result)
     cores = [Core(i, law) for i, law in enumerate(laws)]
     air, late = Air(kinds, world), np.zeros(fleet)
-    step = world[W_STEP]
-    every, message_every = int(world[W_PERIOD]), int(world[W_MESSAGE])
+    step = world.step_s
+    every, message_every = int(world.period), int(world.message)
     vehicles.begin(rng, world, path_times, path_points, kinds, craft)
     clocks, phases = craft.clock.tolist(), craft.phase.tolist()
 
-    for tick in range(round((world[W_END] - world[W_START]) / step)):
-        now = float(world[W_START] + tick * step)
+    for tick in range(round((world.end_s - world.start_s) / step)):
+        now = world.start_s + tick * step
         for i in range(fleet):
             if (tick + phases[i]) % message_every == 0:
                 slot = vehicles.send(rng, world, tick, i, kinds, craft)
@@ -117,14 +106,14 @@ class Core:
             self.traffic.hear(frame, now, clock_s, FRAME, 0.0)
         self.traffic.expire(now)
 
-    def decide(self, world: Floats, now: float, place_ned_m: Vec3, velocity_ned_mps: Vec3) -> LawResult:
+    def decide(self, world: Conditions, now: float, place_ned_m: Vec3, velocity_ned_mps: Vec3) -> LawResult:
         """Decide, given the position and velocity that the aircraft measures for itself."""
         floor, ceiling = (
-            limit if math.isfinite(limit) else None for limit in world[[W_FLOOR, W_CEILING]].tolist()
+            limit if math.isfinite(limit) else None for limit in (world.floor_down_m, world.ceiling_down_m)
         )
         return self.law.decide(
             Situation(
-                now, now, place_ned_m, velocity_ned_mps, float(world[W_DECLARED]),
+                now, now, place_ned_m, velocity_ned_mps, world.declared_m,
                 self.traffic.neighbours(now), floor, ceiling,
             )
         )  # fmt: skip
@@ -133,10 +122,10 @@ class Core:
 class Air:
     """Frames that have been sent and not yet received."""
 
-    def __init__(self, kinds: Floats, world: Floats) -> None:
+    def __init__(self, kinds: Floats, world: Conditions) -> None:
         self._kinds = kinds.tolist()
-        self._declared, self._sigma_mps = (float(world[entry]) for entry in (W_DECLARED, W_SIGMA_VELOCITY))
-        self._echo_s = float(world[W_DELAY_LOW])
+        self._declared, self._sigma_mps = world.declared_m, world.sigma_mps
+        self._echo_s = world.delay_low_s
         self._locations: list[dict[int, Location]] = [{} for _ in kinds]
         """Latest messages, by sender and slot."""
         self._echoes: list[list[tuple[float, Location]]] = [[] for _ in kinds]

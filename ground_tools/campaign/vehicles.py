@@ -17,26 +17,7 @@ import numpy as np
 from companion.arrays import Floats, Integers
 from companion.avoidance import kernels as k
 from ground_tools.campaign.compiled import compiled
-from ground_tools.campaign.world import (
-    W_ACCELERATION,
-    W_CLOCK,
-    W_DELAY_HIGH,
-    W_DELAY_LOW,
-    W_GUST,
-    W_GUST_MEMORY,
-    W_LAG,
-    W_LIE,
-    W_LOSS,
-    W_MESSAGE,
-    W_OWN_VELOCITY,
-    W_QUANTISED,
-    W_SIGMA,
-    W_SIGMA_MEMORY,
-    W_SIGMA_VELOCITY,
-    W_SILENT,
-    W_START,
-    W_STEP,
-)
+from ground_tools.campaign.world import Conditions
 
 # Kinds of aircraft. AVOIDS flies the avoidance law; no other kind avoids. BLIND sends and flies its path;
 # TURNING also turns and climbs at random; FROZEN turns likewise, but always sends its first velocity. SILENT
@@ -93,9 +74,9 @@ class Fleet(NamedTuple):
     """(receiver, sender, slots): arrival time of each message; infinite if it is lost or already received."""
 
 
-def on_the_ground(fleet: int, world: Floats) -> Fleet:
+def on_the_ground(fleet: int, world: Conditions) -> Fleet:
     """A fleet whose arrays are still zero and that has no message under way."""
-    slots = int(world[W_DELAY_HIGH] / (world[W_MESSAGE] * world[W_STEP])) + 2
+    slots = int(world.delay_high_s / (world.message * world.step_s)) + 2
     return Fleet(
         position=np.zeros((fleet, 3)),
         before=np.zeros((fleet, 3)),
@@ -116,43 +97,44 @@ def on_the_ground(fleet: int, world: Floats) -> Fleet:
 @compiled(_nrt=True)  # as random integers need it
 def begin(
     rng: np.random.Generator,
-    world: Floats,
+    world: Conditions,
     path_times: Floats,
     path_points: Floats,
     kinds: Floats,
     craft: Fleet,
 ) -> None:
     """Place every aircraft on its path and draw its errors. The arguments are those of `flight.fly`."""
-    step, message_every = world[W_STEP], int(world[W_MESSAGE])
+    step, message_every = world.step_s, int(world.message)
     position, velocity = craft.position, craft.velocity
     for i in range(len(kinds)):
-        n, e, d = k.path_position(path_times[i], path_points[i], world[W_START])
+        n, e, d = k.path_position(path_times[i], path_points[i], world.start_s)
         position[i, 0], position[i, 1], position[i, 2] = n, e, d
-        bn, be, bd = k.path_position(path_times[i], path_points[i], world[W_START] + step)
+        bn, be, bd = k.path_position(path_times[i], path_points[i], world.start_s + step)
         velocity[i, 0], velocity[i, 1], velocity[i, 2] = (bn - n) / step, (be - e) / step, (bd - d) / step
         for c in range(3):
             craft.command[i, c] = velocity[i, c]
-            craft.error[i, c] = rng.normal(0.0, world[W_SIGMA])
+            craft.error[i, c] = rng.normal(0.0, world.sigma_m)
             craft.frozen[i, c] = velocity[i, c]
-            craft.own_error[i, c] = rng.normal(0.0, world[W_OWN_VELOCITY])
+            craft.own_error[i, c] = rng.normal(0.0, world.own_sigma_mps)
         craft.phase[i] = rng.integers(0, message_every)
-        craft.clock[i] = rng.uniform(-world[W_CLOCK], world[W_CLOCK])
+        craft.clock[i] = rng.uniform(-world.clock_s, world.clock_s)
         bearing = rng.uniform(0.0, 2.0 * math.pi)
         if kinds[i] == LIAR:
-            craft.lie[i, 0] = world[W_LIE] * math.cos(bearing)
-            craft.lie[i, 1] = world[W_LIE] * math.sin(bearing)
+            craft.lie[i, 0] = world.lie_m * math.cos(bearing)
+            craft.lie[i, 1] = world.lie_m * math.sin(bearing)
 
 
 @_compiled
 def _quantise(message: Floats) -> None:
     """Quantise a message in place: speed to 0.25 m/s, direction to whole degrees, vertical speed to 0.5 m/s,
     horizontal position to 1e-7 degrees, height to 0.5 m."""
-    speed = round(math.hypot(message[4], message[5]) / 0.25) * 0.25
-    course = round(math.atan2(message[5], message[4]) * 180.0 / math.pi) * math.pi / 180.0
-    message[1], message[2] = round(message[1] / 0.0111) * 0.0111, round(message[2] / 0.0111) * 0.0111
-    message[3] = round(message[3] / 0.5) * 0.5
-    message[4], message[5] = speed * math.cos(course), speed * math.sin(course)
-    message[6] = round(message[6] / 0.5) * 0.5
+    position, velocity = message[M_POSITION:M_VELOCITY], message[M_VELOCITY:MESSAGE_COLUMNS]
+    speed = round(math.hypot(velocity[0], velocity[1]) / 0.25) * 0.25
+    course = round(math.atan2(velocity[1], velocity[0]) * 180.0 / math.pi) * math.pi / 180.0
+    position[0], position[1] = round(position[0] / 0.0111) * 0.0111, round(position[1] / 0.0111) * 0.0111
+    position[2] = round(position[2] / 0.5) * 0.5
+    velocity[0], velocity[1] = speed * math.cos(course), speed * math.sin(course)
+    velocity[2] = round(velocity[2] / 0.5) * 0.5
 
 
 @_compiled
@@ -165,7 +147,7 @@ def _distance(position: Floats, i: int, j: int) -> float:
 
 
 @_inlined
-def send(rng: np.random.Generator, world: Floats, tick: int, i: int, kinds: Floats, craft: Fleet) -> int:
+def send(rng: np.random.Generator, world: Conditions, tick: int, i: int, kinds: Floats, craft: Fleet) -> int:
     """Send the message of aircraft i that is due at this step. Writes `sent` and `arrival`.
 
     Returns:
@@ -173,37 +155,37 @@ def send(rng: np.random.Generator, world: Floats, tick: int, i: int, kinds: Floa
     """
     position, velocity, error, clock = craft.position, craft.velocity, craft.error, craft.clock
     phase, frozen, lie, sent, arrival = craft.phase, craft.frozen, craft.lie, craft.sent, craft.arrival
-    now = world[W_START] + tick * world[W_STEP]
-    slot = int(((tick + phase[i]) // int(world[W_MESSAGE])) % sent.shape[1])
+    now = world.start_s + tick * world.step_s
+    slot = int(((tick + phase[i]) // int(world.message)) % sent.shape[1])
     message = sent[i, slot]
     message[M_TIME] = now + clock[i]
     for c in range(3):
         sent_velocity = frozen[i, c] if kinds[i] == FROZEN else velocity[i, c]
         message[M_POSITION + c] = position[i, c] + error[i, c]
-        message[M_VELOCITY + c] = sent_velocity + rng.normal(0.0, world[W_SIGMA_VELOCITY])
+        message[M_VELOCITY + c] = sent_velocity + rng.normal(0.0, world.sigma_mps)
     message[M_POSITION] += lie[i, 0]
     message[M_POSITION + 1] += lie[i, 1]
-    if world[W_QUANTISED] != 0.0:
+    if world.quantised != 0.0:
         _quantise(message)
     for j in range(len(kinds)):
         if j != i:
-            delay = rng.uniform(world[W_DELAY_LOW], world[W_DELAY_HIGH])
-            lost = world[W_LOSS] > 0.0 and rng.random() < world[W_LOSS]
-            if kinds[i] == SILENT and _distance(position, i, j) > world[W_SILENT]:
+            delay = rng.uniform(world.delay_low_s, world.delay_high_s)
+            lost = world.loss > 0.0 and rng.random() < world.loss
+            if kinds[i] == SILENT and _distance(position, i, j) > world.silent_m:
                 lost = True
             arrival[j, i, slot] = math.inf if lost else now + delay
     return slot
 
 
 @_inlined
-def move(rng: np.random.Generator, world: Floats, craft: Fleet) -> None:
+def move(rng: np.random.Generator, world: Conditions, craft: Fleet) -> None:
     """Move all vehicles by one step according to their commands."""
-    step, lag, most = world[W_STEP], world[W_LAG], world[W_ACCELERATION]
-    keep = math.exp(-step / world[W_SIGMA_MEMORY])
-    fresh = math.sqrt(1.0 - keep * keep) * world[W_SIGMA]
-    gust_keep = math.exp(-step / world[W_GUST_MEMORY])
-    gust_fresh = math.sqrt(1.0 - gust_keep * gust_keep) * world[W_GUST]
-    own_fresh = math.sqrt(1.0 - keep * keep) * world[W_OWN_VELOCITY]
+    step, lag, most = world.step_s, world.lag_s, world.acceleration_mps2
+    keep = math.exp(-step / world.sigma_memory_s)
+    fresh = math.sqrt(1.0 - keep * keep) * world.sigma_m
+    gust_keep = math.exp(-step / world.gust_memory_s)
+    gust_fresh = math.sqrt(1.0 - gust_keep * gust_keep) * world.gust_mps2
+    own_fresh = math.sqrt(1.0 - keep * keep) * world.own_sigma_mps
     position, before, velocity, command = craft.position, craft.before, craft.velocity, craft.command
     error, own_error, gust = craft.error, craft.own_error, craft.gust
     for i in range(len(position)):
@@ -215,7 +197,7 @@ def move(rng: np.random.Generator, world: Floats, craft: Fleet) -> None:
         size = math.sqrt(an * an + ae * ae + ad * ad)
         if size > most:
             an, ae, ad = an * most / size, ae * most / size, ad * most / size
-        if world[W_GUST] > 0.0:
+        if world.gust_mps2 > 0.0:
             for c in range(3):
                 gust[i, c] = gust_keep * gust[i, c] + gust_fresh * rng.normal(0.0, 1.0)
         for c, answer in enumerate((an, ae, ad)):

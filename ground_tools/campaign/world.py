@@ -3,42 +3,50 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
-import numpy as np
 from msgspec import Meta
 
-from companion.arrays import Floats
 
-# Indices of the array `world`, as `World.row` fills it.
-(
-    W_START,  # s, on the paths' clock
-    W_END,  # s
-    W_STEP,  # s
-    W_PERIOD,  # steps from one decision to the next
-    W_MESSAGE,  # steps from one message to the next
-    W_DELAY_LOW,  # s
-    W_DELAY_HIGH,  # s
-    W_LOSS,  # share of messages that a receiver does not get
-    W_SIGMA,  # m for each axis
-    W_SIGMA_MEMORY,  # s
-    W_SIGMA_VELOCITY,  # m/s for each axis
-    W_DECLARED,  # m, position error that every aircraft declares of itself
-    W_QUANTISED,  # 0 or 1
-    W_LAG,  # s
-    W_ACCELERATION,  # m/s^2
-    W_GUST,  # m/s^2 for each axis
-    W_GUST_MEMORY,  # s
-    W_OWN_VELOCITY,  # m/s for each axis, error of the own velocity; correlation time as for the position
-    W_CLOCK,  # s, largest clock error
-    W_FLOOR,  # NED down, m
-    W_CEILING,  # NED down, m
-    W_SILENT,  # m, range within which a silent aircraft is received
-    W_LIE,  # m, error of the position that a liar sends
-    W_BLACKOUT,  # s, how long one aircraft has no GNSS
-    WORLD_ENTRIES,
-) = range(25)
+class Conditions(NamedTuple):
+    """A `World` and the period of the law, in the form that the compiled code takes: numbers of one type."""
+
+    start_s: float
+    """On the paths' clock, like `end_s`."""
+    end_s: float
+    step_s: float
+    period: float
+    """Steps from one decision to the next."""
+    message: float
+    """Steps from one message to the next."""
+    delay_low_s: float
+    delay_high_s: float
+    loss: float
+    """Share of messages that a receiver does not get."""
+    sigma_m: float
+    sigma_memory_s: float
+    sigma_mps: float
+    declared_m: float
+    """Position error that every aircraft declares of itself."""
+    quantised: float
+    """0 or 1."""
+    lag_s: float
+    acceleration_mps2: float
+    gust_mps2: float
+    gust_memory_s: float
+    own_sigma_mps: float
+    """Error of the own velocity for each axis; its correlation time is that of the position's error."""
+    clock_s: float
+    floor_down_m: float
+    ceiling_down_m: float
+    """NED down."""
+    silent_m: float
+    """Range within which a silent aircraft is received."""
+    lie_m: float
+    """Error of the position that a liar sends."""
+    blackout_s: float
+    """How long one aircraft has no GNSS."""
 
 
 class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -75,24 +83,22 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """How long one avoiding aircraft has no GNSS, around the middle of the flight. Meanwhile it sends
     nothing, decides nothing and stands still."""
 
-    def row(self, period_s: float) -> Floats:
-        """The same as an array for the compiled code, shape (WORLD_ENTRIES,).
+    def conditions(self, period_s: float) -> Conditions:
+        """The same for the compiled code.
 
         Args:
             period_s: time between two decisions of the law.
         """
-        row = np.zeros(WORLD_ENTRIES)
-        row[W_START], row[W_END], row[W_STEP] = self.start_s, self.end_s, self.step_s
-        row[W_PERIOD] = max(1, round(period_s / self.step_s))
-        row[W_MESSAGE] = max(1, round(self.message_s / self.step_s))
-        row[W_DELAY_LOW], row[W_DELAY_HIGH] = self.delay_s
-        row[W_LOSS], row[W_QUANTISED] = self.loss, self.quantised
-        row[W_SIGMA], row[W_SIGMA_MEMORY] = self.sigma_m, self.sigma_memory_s
-        row[W_SIGMA_VELOCITY], row[W_DECLARED] = self.sigma_mps, self.declared_m
-        row[W_LAG], row[W_ACCELERATION] = self.lag_s, self.acceleration_mps2
-        row[W_GUST], row[W_GUST_MEMORY] = self.gust_mps2, self.gust_memory_s
-        row[W_OWN_VELOCITY], row[W_CLOCK] = self.own_sigma_mps, self.clock_s
-        row[W_FLOOR], row[W_CEILING] = -self.floor_m, -self.ceiling_m
-        row[W_SILENT], row[W_LIE] = self.silent_m, self.lie_m
-        row[W_BLACKOUT] = self.blackout_s
-        return row
+        same = {
+            name: float(getattr(self, name)) for name in Conditions._fields if name in self.__struct_fields__
+        }
+        low_s, high_s = self.delay_s
+        return Conditions(
+            **same,
+            period=float(max(1, round(period_s / self.step_s))),
+            message=float(max(1, round(self.message_s / self.step_s))),
+            delay_low_s=float(low_s),
+            delay_high_s=float(high_s),
+            floor_down_m=-float(self.floor_m),
+            ceiling_down_m=-float(self.ceiling_m),
+        )

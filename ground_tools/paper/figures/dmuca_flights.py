@@ -80,7 +80,7 @@ def fly(case: Case, seed: int) -> tuple[Floats, Floats]:
     trace = np.zeros((round(DURATION_S / world.step_s), AIRCRAFT, 3))
     flight.fly(
         np.random.default_rng([seed, 7]),
-        world.row(avoidance.period_s),
+        world.conditions(avoidance.period_s),
         times,
         points,
         NO_WALLS,

@@ -29,7 +29,7 @@ def fly(times, points, world, avoidance=DMUCA, seed=1, steps=0, kinds=None):
     trace, result = np.zeros((steps, len(paths), 3)), np.zeros(outcome.FLIGHT_ENTRIES)
     flight.fly(
         np.random.default_rng(seed),
-        world.row(avoidance.period_s),
+        world.conditions(avoidance.period_s),
         times,
         points,
         k.NO_WALLS,
