@@ -31,7 +31,6 @@ from companion.config import (
 )
 from companion.event_record import Step
 from companion.events import Firmware, RadioState, RemoteIdHeard
-from companion.geometry import LocalFrame
 from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender, radio_address
 from companion.system import CompanionSystem
 from sitl_mocks.air.air_settings import channel_of
@@ -42,12 +41,11 @@ from sitl_mocks.encounters.scenario import encounter
 from sitl_mocks.encounters.scenario_file import RANDOM, Scenario
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle
-from sitl_mocks.vehicle.options import VehicleOptions
+from sitl_mocks.vehicle.options import HOME, VehicleOptions
 
 TICK_S = 0.05
 UTC_AT_START_S = 1_767_225_590.0
 """2025-12-31 23:59:50 UTC, so that the hour of the Remote ID timestamp wraps ten seconds into every run."""
-HOME = LocalFrame(47.397, 8.545, 400.0)
 _PREFIX = "1596"
 """Manufacturer code of simulated serial numbers, for regions that require their form."""
 _OPERATOR_EU = "FIN87astrdge12k8-xyz"

@@ -28,7 +28,7 @@ from companion.runtime.record.recorder import create_run_folder, write_json, wri
 from companion.toml_reader import without_none
 from sitl_mocks.encounters import choosing, demo
 from sitl_mocks.encounters.demo_report import command as command_here
-from sitl_mocks.encounters.lockstep import HOME, companion_config, names_of, paths_of, vehicle_options
+from sitl_mocks.encounters.lockstep import companion_config, names_of, paths_of, vehicle_options
 from sitl_mocks.encounters.processes import Process, Swarm
 from sitl_mocks.encounters.scenario_file import RANDOM, Scenario
 from sitl_mocks.encounters.swarm_report import limit_m, report_of, show
@@ -40,6 +40,7 @@ from sitl_mocks.examinations.swarm import verdict
 from sitl_mocks.examinations.swarm.examination import Examination, ServedVehicle, end_all
 from sitl_mocks.examinations.swarm.schedule import FIRST_S, AircraftSchedule, draw, from_file, to_file
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+from sitl_mocks.vehicle.options import HOME
 
 _EXAMPLES = """examples:
   sitl-mocks swarm --duration 120 --delay 0 1

@@ -21,7 +21,6 @@ from companion.autopilot.lists.mission import NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF,
 from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig
 from companion.events import Firmware, MissionItem, RadioState
-from companion.geometry import LocalFrame
 from companion.radio.null.section import NullRadio
 from companion.system import CompanionSystem
 from sitl_mocks.encounters.crossing import Crossing
@@ -31,12 +30,11 @@ from sitl_mocks.examinations.rule_judge import Bounds, Judge
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode
 from sitl_mocks.vehicle.firmware.kinds import Manners
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle
-from sitl_mocks.vehicle.options import VehicleOptions
+from sitl_mocks.vehicle.options import HOME, VehicleOptions
 
 Use = Literal["guard", "fly"]
 TICK_S: Final = 0.05
 UTC_AT_ZERO_S: Final = 1_767_225_600.0
-HOME: Final = LocalFrame(47.397, 8.545, 400.0)
 HEIGHT_M: Final = 40.0
 _WAYPOINTS: Final = ((0.0, 0.0), (200.0, 0.0), (200.0, 150.0), (0.0, 150.0))
 _FRAME: Final = int(mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)

@@ -5,14 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Final
 
 from companion.errors import ConfigError
 from companion.events import FenceArea, Firmware, MissionItem
 from companion.geofence import check_areas
-from companion.geometry import Vec3
+from companion.geometry import LocalFrame, Vec3
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, Manners, VehicleMode, with_quirks
 from sitl_mocks.vehicle.motion.dynamics import Response
 from sitl_mocks.vehicle.traffic import CrewedFlight
+
+HOME: Final = LocalFrame(47.397, 8.545, 400.0)
+"""Home of every simulated vehicle that is not given another one."""
 
 _PLAIN_ACCELERATION_MPS2 = 2.5
 _PLAIN_VERTICAL_MPS2 = 4.0
@@ -30,9 +34,9 @@ class VehicleOptions:
     firmware: Firmware = Firmware.ARDUPILOT
     system_id: int = 1
 
-    home_lat_deg: float = 47.397
-    home_lon_deg: float = 8.545
-    home_alt_msl_m: float = 400.0
+    home_lat_deg: float = HOME.lat_deg
+    home_lon_deg: float = HOME.lon_deg
+    home_alt_msl_m: float = HOME.alt_m
     geoid_separation_m: float = 47.0
     """Height of mean sea level above the ellipsoid: alt_ellipsoid = alt_msl + geoid_separation_m."""
 

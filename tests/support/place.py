@@ -1,10 +1,5 @@
-"""Where the tests fly."""
+"""Where the tests fly: at the home of the simulated vehicles."""
 
-from __future__ import annotations
+from sitl_mocks.vehicle.options import HOME
 
-from typing import Final
-
-from companion.geometry import LocalFrame
-
-HOME: Final = LocalFrame(47.397, 8.545, 400.0)
-"""Home of every vehicle that is not said to be elsewhere. The mock vehicle has the same by default."""
+__all__ = ["HOME"]

@@ -33,8 +33,8 @@ from ground_tools.inspect.read.read_run import AircraftRecord, Run, is_regular, 
 from sitl_mocks.air.air_settings import AirSettings
 from sitl_mocks.channel.simple import MAX_DELAY_S
 from sitl_mocks.encounters import scenario_file
-from sitl_mocks.encounters.lockstep import HOME
 from sitl_mocks.encounters.scenario_file import PathSettings, Scenario, VehicleSettings
+from sitl_mocks.vehicle.options import HOME
 
 AROUND_S = 60.0
 """Longest time before, and after, the closest approach that the scenario covers."""

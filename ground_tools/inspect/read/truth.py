@@ -13,7 +13,7 @@ import numpy as np
 from companion.arrays import Floats
 from companion.errors import PeerDataError
 from companion.geometry import Vec3
-from sitl_mocks.encounters.lockstep import HOME
+from sitl_mocks.vehicle.options import HOME
 
 ORIGIN: Vec3 = (HOME.lat_deg, HOME.lon_deg, HOME.alt_m)
 """Origin of the NED positions: latitude, longitude (degrees) and height above mean sea level (m)."""

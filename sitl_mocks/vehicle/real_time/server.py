@@ -23,7 +23,7 @@ from companion.events import Firmware
 from sitl_mocks.signals import end_signals
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.mock_vehicle import STEP_S, MockVehicle
-from sitl_mocks.vehicle.options import VehicleOptions
+from sitl_mocks.vehicle.options import HOME, VehicleOptions
 from sitl_mocks.vehicle.real_time.ports import Airframe, Port, open_port
 from sitl_mocks.vehicle.real_time.trouble_input import TroubleInput
 
@@ -117,8 +117,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "default: udpout:127.0.0.1:14550)",
     )
     add("--system-id", type=int, default=1, help="MAVLink system id, 1 to 255 (default: %(default)s)")
-    add("--home", type=float, nargs=3, default=(47.397, 8.545, 400.0), metavar=("LAT", "LON", "ALT"),
-        help="home position: latitude and longitude (deg), altitude above mean sea level (m)")  # fmt: skip
+    add(
+        "--home",
+        type=float,
+        nargs=3,
+        default=(HOME.lat_deg, HOME.lon_deg, HOME.alt_m),
+        metavar=("LAT", "LON", "ALT"),
+        help="home position: latitude and longitude (deg), altitude above mean sea level (m)",
+    )
     add(
         "--airborne",
         type=float,
