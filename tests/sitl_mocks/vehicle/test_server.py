@@ -172,7 +172,7 @@ def test_arguments_become_options():
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_process_prints_its_ports_and_ends_cleanly(number):
     code = (
-        "import argparse, sys\nfrom sitl_mocks.vehicle import server as v\n"
+        "import argparse, sys\nfrom sitl_mocks.vehicle.real_time import server as v\n"
         "p = argparse.ArgumentParser(); v.add_arguments(p); sys.exit(v.run(p.parse_args()))"
     )
     process = subprocess.Popen(
