@@ -338,4 +338,4 @@ def warm_up() -> None:
     note_track(tuple(NO_PAST), 1.0, zero, zero, 1.0)
     path_position(*path, 0.0)
     path_nearest(*path, 0.0, 0.0, 0.0)
-    inside(NO_WALLS, 0, 0, Point(0.0, 0.0))
+    inside(np.zeros((1, NO_WALLS.shape[1])), 0, 1, Point(0.0, 0.0))
