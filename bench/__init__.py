@@ -1,1 +1,1 @@
-"""Measured figures, printed as tables; ratios are what to trust on a shared machine."""
+"""Measured figures, printed as tables, with their targets; `figures` says how they are measured."""

@@ -1,6 +1,7 @@
 """`python -m bench [NAME ...]`: the figures of the named benches, or of all, one table after the other.
 
 Each bench runs in a process of its own, so that neither the modules nor the memory of one weigh on the next.
+Lines that begin with "target" show a figure beside what is asked of it.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ import argparse
 import subprocess
 import sys
 from importlib import import_module
+
+from bench.figures import reference_s
 
 NAMES = (
     "avoidance",
@@ -36,7 +39,8 @@ def main() -> int:
         parser.error(f"there is no benchmark {', '.join(unknown)}; allowed: {', '.join(NAMES)}")
     if len(names) == 1:
         module = import_module(f"bench.bench_{names[0]}")
-        print(f"\n== {(module.__doc__ or '').splitlines()[0]}\n", flush=True)
+        print(f"\n== {(module.__doc__ or '').splitlines()[0]}\n")
+        print(f"reference loop (bench.figures), CPU: {1e3 * reference_s():.0f} ms\n", flush=True)
         module.main()
         return 0
     return max([subprocess.run([sys.executable, "-m", "bench", name]).returncode != 0 for name in names])

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from rich.console import Console
 from rich.table import Table
@@ -20,7 +21,7 @@ _POLICY = Path(__file__).parents[1] / "config/policies/atmc.safetensors"
 _PAPER_DECISION_US = 3840.0
 _TURNS = 5
 _LEARNERS = ("madqn", "madqn-shared", "maddpg", "iac")
-_EPISODES, _DECISIONS = 3, 100 * 10
+_EPISODES, _STEPS, _AIRCRAFT = 3, 100, 10
 
 
 def main() -> None:
@@ -42,6 +43,7 @@ def _learners() -> None:
 
     from ground_tools.atmc.learners.algorithms import ALGORITHMS
 
+    decisions = _STEPS * _AIRCRAFT
     table = Table(title="Training with the paper's algorithms on one core")
     for head in (
         "algorithm",
@@ -53,8 +55,9 @@ def _learners() -> None:
         table.add_column(head, justify="right")
     for name in _LEARNERS:
         parts = ALGORITHMS[name].parts()
-        learner: Any = parts.make(parts.settings, 1, torch.device("cpu"))
-        fills = hasattr(learner, "replay")
+        task = msgspec.structs.replace(parts.settings.task, steps=_STEPS)
+        learner: Any = parts.make(msgspec.structs.replace(parts.settings, task=task), 1, torch.device("cpu"))
+        fills = learner.replay is not None
         filling = _median(learner.train, _EPISODES) if fills else 0.0
         if fills:
             # As if 250 episodes had passed: what is in the buffer does not matter to the time.
@@ -63,8 +66,8 @@ def _learners() -> None:
         minutes = (250 * filling + 750 * learning if fills else 1000 * learning) / 60.0
         table.add_row(
             name,
-            f"{_DECISIONS / filling:,.0f}" if fills else "",
-            f"{_DECISIONS / learning:,.0f}",
+            f"{decisions / filling:,.0f}" if fills else "",
+            f"{decisions / learning:,.0f}",
             f"{1.0 - filling / learning:.0%}" if fills else "",
             f"{minutes:.0f}",
         )

@@ -1,7 +1,7 @@
 """What one step of the core costs, with 20 neighbours heard once a second.
 
-The step that decides (five a second) and the one that only commands are timed apart; targets: median of the
-deciding step under 0.5 ms, 99th percentile under 2 ms.
+The step that decides (five a second) and the one that only commands are timed apart. CPU time; the
+same flight is flown several times, and the least time of each step counts.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import time
 
 import numpy as np
 
+from bench.figures import least_of_each, target
 from companion.authority.table import HOLDING
 from companion.avoidance import kernels
 from companion.config import Config, FlightConfig, IdentityConfig, TrajectoryFile, Waypoint
@@ -34,7 +35,10 @@ from companion.remote_id.messages import BasicId, IdType, Location, Status, UaTy
 UTC_S = 1_767_225_600.0
 FRAME = LocalFrame(47.397, 8.545, 450.0)
 NEIGHBOURS = 20
-SECONDS = 120
+SECONDS = 60
+FLIGHTS = 10
+MOST_MS = 0.2
+"""Target of the deciding step's median."""
 
 
 def own_events(now_s: float, *, slow: bool) -> list[Event]:
@@ -100,9 +104,19 @@ def heard(number: int, now_s: float) -> RemoteIdHeard:
     )
 
 
-def main() -> None:
-    """Print the table."""
-    kernels.warm_up()
+def flight() -> list[tuple[float, list[Event]]]:
+    """Time and events of every step of a flight."""
+    steps = []
+    for tick in range(20 * SECONDS):
+        now_s = 0.05 * tick
+        events = own_events(now_s, slow=tick % 20 == 0) if tick % 2 == 0 else []
+        events += [heard(number, now_s) for number in range(NEIGHBOURS) if tick % 20 == number]
+        steps.append((now_s, events))
+    return steps
+
+
+def fly(steps: list[tuple[float, list[Event]]]) -> tuple[list[float], list[float]]:
+    """CPU time (s) of each step that decided, and of each that did not."""
     far = FRAME.to_geodetic(3000.0, 0.0, 0.0)
     path = TrajectoryFile(
         altitude="msl",
@@ -119,19 +133,27 @@ def main() -> None:
         )
     )
     deciding, others = [], []
-    for tick in range(20 * SECONDS):
-        now_s = 0.05 * tick
-        events = own_events(now_s, slow=tick % 20 == 0) if tick % 2 == 0 else []
-        events += [heard(number, now_s) for number in range(NEIGHBOURS) if tick % 20 == number]
-        began = time.perf_counter()
+    for now_s, events in steps:
+        began = time.thread_time()
         commands = core.step(now_s, events)
-        took = time.perf_counter() - began
-        if core.state in HOLDING and tick > 100:
+        took = time.thread_time() - began
+        if core.state in HOLDING and now_s > 5.0:
             (deciding if any(isinstance(c, Decision) for c in commands) else others).append(took)
+    return deciding, others
+
+
+def main() -> None:
+    """Print the table."""
+    kernels.warm_up()
+    steps = flight()
+    flown = [fly(steps) for _ in range(FLIGHTS)]
     print(f"{'step':34}{'count':>8}{'median us':>12}{'p99 us':>10}{'of 50 ms':>10}")
-    for name, values in (("with a decision, 20 neighbours", deciding), ("without a decision", others)):
-        median, p99 = np.percentile(values, [50, 99]) * 1e6
-        print(f"{name:34}{len(values):8}{median:12.0f}{p99:10.0f}{median / 500:9.2f}%")
+    for number, name in enumerate(("with a decision, 20 neighbours", "without a decision")):
+        took = least_of_each(kinds[number] for kinds in flown)
+        median, p99 = np.percentile(took, [50, 99]) * 1e6
+        print(f"{name:34}{len(took):8}{median:12.0f}{p99:10.0f}{median / 500:9.2f}%")
+        if number == 0:
+            target("deciding step, median", median / 1e3, "ms", most=MOST_MS)
 
 
 if __name__ == "__main__":

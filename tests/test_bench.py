@@ -2,25 +2,97 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
+import sys
+from importlib import import_module
+
 import pytest
 
-from bench import bench_aboard, bench_channel, bench_core, bench_gate, bench_lockstep, bench_remote_id
+from bench import (
+    __main__,
+    bench_aboard,
+    bench_atmc,
+    bench_avoidance,
+    bench_channel,
+    bench_core,
+    bench_gate,
+    bench_lockstep,
+    bench_remote_id,
+    figures,
+)
+from bench.memory import memory_mb
+
+_SHORT_AVOIDANCE = {
+    "COUNTS": (20,),
+    "DECIDE_SCENES": 1,
+    "ROUNDS": 1,
+    "DECISIONS": 2,
+    "REFERENCE_US": {},  # it compiles a loop of its own
+    "REFERENCE_STEP_MS": {50: 1.0},
+    "STEPS": 2,
+    "FLIGHTS": {5: 1},
+    "FLIGHT_ROUNDS": 1,
+}
 
 
 @pytest.mark.parametrize(
     ("module", "shorter", "words"),
     [
-        (bench_core, ("SECONDS", 10), "with a decision, 20 neighbours"),
-        (bench_gate, ("STEPS", 300), "octagonal fence"),
-        (bench_lockstep, ("SECONDS", 2.0), "times real time"),
-        (bench_remote_id, ("NUMBER", 200), "Location: encode"),
-        (bench_channel, ("FLEETS", (10, 30)), "only neighbours in range"),
+        (bench_avoidance, _SHORT_AVOIDANCE, "target: campaign, 5 aircraft: at least 45,000"),
+        (bench_core, {"SECONDS": 10, "FLIGHTS": 2}, "target: deciding step, median: at most 0.2"),
+        (bench_gate, {"STEPS": 300}, "octagonal fence"),
+        (bench_lockstep, {"SECONDS": 2.0, "RUNS": 2}, "target: 5 aircraft: at least 60 times real time"),
+        (bench_remote_id, {"NUMBER": 200}, "Location: encode"),
+        (bench_channel, {"FLEETS": (10, 30)}, "only neighbours in range"),
     ],
 )
 def test_a_bench_prints_its_table(monkeypatch, capsys, module, shorter, words):
-    monkeypatch.setattr(module, *shorter)
+    for name, value in shorter.items():
+        monkeypatch.setattr(module, name, value)
     module.main()
     assert words in capsys.readouterr().out
+
+
+def test_every_learner_is_measured(monkeypatch, capsys):
+    """With a buffer that is filled first, and without."""
+    for name in ("_STEPS", "_EPISODES", "_TURNS"):
+        monkeypatch.setattr(bench_atmc, name, 1)
+    bench_atmc._learners()
+    bench_atmc._aboard()
+    shown = capsys.readouterr().out
+    for name in bench_atmc._LEARNERS:
+        assert re.search(rf"{name} .*\d", shown), shown
+
+
+@pytest.mark.parametrize("name", __main__.NAMES)
+def test_every_bench_has_a_main(name):
+    assert callable(import_module(f"bench.bench_{name}").main)
+
+
+@pytest.mark.parametrize(
+    ("measured", "bounds", "verdict"),
+    [
+        (24.9, {"most": 25.0}, "met"),
+        (25.1, {"most": 25.0}, "NOT MET"),
+        (61.0, {"least": 60.0}, "met"),
+        (59.0, {"least": 60.0}, "NOT MET"),
+    ],
+)
+def test_a_target_is_shown_beside_the_figure(capsys, measured, bounds, verdict):
+    figures.target("a figure", measured, "us", **bounds)
+    shown = capsys.readouterr().out
+    assert shown.endswith(f": {verdict}\n")
+    assert f"{measured:g}" in shown
+
+
+def test_the_peak_of_a_process_is_its_own():
+    """A process that a large one starts has not been as large."""
+    block = bytearray(200_000_000)
+    code = "from bench.memory import memory_mb; print(memory_mb('VmHWM'))"
+    child = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert float(child.stdout) < 100.0 < memory_mb("VmHWM")
+    assert len(block) == 200_000_000
 
 
 def test_the_real_process_is_measured(monkeypatch, capsys, tmp_path):

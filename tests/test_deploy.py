@@ -25,7 +25,7 @@ def values(key):
 def test_the_service_runs_a_command_that_there_is():
     program, *arguments = values("ExecStart")[0].split()
     assert Path(program).name == "companion"
-    parsed = cli._parser().parse_args(arguments)
+    parsed = cli._parser(arguments).parse_args(arguments)
     assert parsed.config == Path("/etc/dmuca/companion.toml")
     assert not parsed.dry_run
     assert values("ExecStartPre")[0].split()[1:] == ["-m", "companion.runtime.warm"]

@@ -21,7 +21,8 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+
+import msgspec
 
 from companion.avoidance.law import LawResult, Neighbour, horizon_s, separation_m
 from companion.config import AvoidanceConfig
@@ -49,7 +50,11 @@ class Level(enum.IntEnum):
     WARNING = 3
 
 
-class Approach(NamedTuple):
+_NONE = Level.NONE
+"""Python 3.11 takes 0.1 us to look up a member of an enumeration."""
+
+
+class Approach(msgspec.Struct, frozen=True, gc=False):
     """How two aircraft approach each other if both keep their velocities."""
 
     time_s: float
@@ -74,7 +79,9 @@ def approach(position: Vec3, velocity: Vec3, radius_m: float, scale: float) -> A
     (px, py, down), (vx, vy, sinking) = position, velocity
     pz, vz = scale * down, scale * sinking
     v2, pv = vx * vx + vy * vy + vz * vz, px * vx + py * vy + pz * vz
-    t = max(pv / v2, 0.0) if v2 > 0.0 else 0.0
+    t = pv / v2 if v2 > 0.0 else 0.0
+    if t < 0.0:
+        t = 0.0
     gap2 = px * px + py * py + pz * pz - radius_m * radius_m
     loss = math.inf
     if gap2 <= 0.0:
@@ -104,9 +111,13 @@ class _Watched:
 
     def look(self, level: Level, now_s: float) -> bool:
         """Process the level judged now; True if the alert level changed."""
-        self.seen.append(level)
-        before = self.level
-        agreed = sorted(self.seen, reverse=True)[RAISE_OF - 1] if len(self.seen) >= RAISE_OF else Level.NONE
+        seen, before = self.seen, self.level
+        seen.append(level)
+        if level is before and seen.count(level) == len(seen):
+            # Nothing has changed for a while, as for most aircraft at most times.
+            self.held_s, self.below = now_s, _NONE
+            return False
+        agreed = sorted(seen, reverse=True)[RAISE_OF - 1] if len(seen) >= RAISE_OF else Level.NONE
         raised = level if level is Level.WARNING else agreed
         if level >= self.level or raised > self.level:
             self.level, self.held_s, self.below = max(raised, self.level), now_s, Level.NONE
@@ -178,7 +189,8 @@ class Alerts:
                 watched.level, watched.acting = Level.NONE, False
                 commands.append(_changed(watched, (), "not heard any more"))
                 ended.append(watched)
-        return commands + self._tell(now_s, ended) + self._say(now_s, limits)
+        urgent = self._urgent()
+        return commands + self._tell(now_s, ended, urgent) + self._say(now_s, urgent, limits)
 
     def _approach(self, position: Vec3, velocity: Vec3, other: Neighbour) -> Approach:
         (north, east, down), (vn, ve, vd) = other.position_ned_m, other.velocity_ned_mps
@@ -190,19 +202,20 @@ class Alerts:
         return approach(away, closing, *self._separations[other.crewed])
 
     def _level(self, other: Neighbour, way: Approach, conflict: bool, active: bool) -> Level:
-        horizon = self._horizons_s[other.crewed]
-        if way.loss_s <= 0.5 * horizon:
+        loss_s, horizon_s = way.loss_s, self._horizons_s[other.crewed]
+        if loss_s <= 0.5 * horizon_s:
             return Level.WARNING
-        if way.loss_s <= horizon or (conflict and active):
+        if loss_s <= horizon_s or (conflict and active):
             return Level.CAUTION
-        return Level.ADVISORY if conflict or way.loss_s <= 1.5 * horizon else Level.NONE
+        return Level.ADVISORY if conflict or loss_s <= 1.5 * horizon_s else _NONE
 
     def _urgent(self) -> list[_Watched]:
         """Aircraft at caution or above, the most urgent first."""
-        found = [w for w in self._watched.values() if w.level >= Level.CAUTION]
+        caution = Level.CAUTION
+        found = [w for w in self._watched.values() if w.level >= caution]
         return sorted(found, key=lambda w: (-w.level, w.way.loss_s, w.other.track_id))
 
-    def _tell(self, now_s: float, ended: Sequence[_Watched]) -> list[Command]:
+    def _tell(self, now_s: float, ended: Sequence[_Watched], urgent: Sequence[_Watched]) -> list[Command]:
         """COLLISION messages: one for the end of each alert that was sent, then the most urgent aircraft,
         each once a second."""
         told: list[Command] = []
@@ -210,15 +223,14 @@ class Alerts:
             if watched.told_s > -math.inf:
                 told.append(_threat(watched))
                 watched.told_s = -math.inf
-        for watched in self._urgent()[:MOST_TOLD]:
+        for watched in urgent[:MOST_TOLD]:
             if now_s - watched.told_s >= TELL_S - 1e-6:
                 watched.told_s = now_s
                 told.append(_threat(watched))
         return told
 
-    def _say(self, now_s: float, limits: tuple[str, ...]) -> list[Command]:
+    def _say(self, now_s: float, urgent: Sequence[_Watched], limits: tuple[str, ...]) -> list[Command]:
         """Texts: the first caution, every warning, and the end of all alerts; at most one text a second."""
-        urgent = self._urgent()
         if not urgent:
             over, self._spoken = self._spoken, False
             return [Say(severity=Severity.INFO, text="DMUCA clear of traffic")] if over else []

@@ -1,7 +1,7 @@
 """The `companion` command.
 
-Modules for flight and replay are imported only where they are needed, because they load the compiler (numba),
-which the other subcommands do not need.
+Modules are imported only for the subcommand that needs them: those for flight and replay load the compiler
+(numba), and a flight needs nothing of `remote-id`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ import msgspec
 
 from companion import __version__, event_record
 from companion import config as configuration
-from companion.commands import listen
-from companion.commands import remote_id as remote_id_command
 from companion.commands.entry_point import parser_of, run_command
 from companion.errors import ConfigError
 
@@ -36,10 +34,10 @@ _EXAMPLES = """examples:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command. Returns the exit code: 0 for success, 1 for a negative result, 2 for wrong input."""
-    return run_command(_parser(), argv)
+    return run_command(_parser(sys.argv[1:] if argv is None else argv), argv)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(given: Sequence[str]) -> argparse.ArgumentParser:
     parser = parser_of(
         "companion",
         "Flight software for a companion computer: receive Remote ID, avoid other aircraft, fly timed paths.",
@@ -83,9 +81,13 @@ def _parser() -> argparse.ArgumentParser:
     again.set_defaults(run=_replay)
 
     remote_id = commands.add_parser("remote-id", help="receive, encode, decode or check Remote ID messages")
-    of_remote_id = remote_id.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    remote_id_command.add_arguments(of_remote_id)
-    listen.add_arguments(of_remote_id)
+    if given and given[0] == "remote-id":
+        from companion.commands import listen
+        from companion.commands import remote_id as remote_id_command
+
+        of_remote_id = remote_id.add_subparsers(title="commands", required=True, metavar="COMMAND")
+        remote_id_command.add_arguments(of_remote_id)
+        listen.add_arguments(of_remote_id)
     return parser
 
 

@@ -26,12 +26,12 @@ RANKS = {
     UaType.AIRSHIP: LIMITED,
 }
 """Rank of each UA type; all others are FREE."""
-IN_DISTRESS = frozenset({Status.EMERGENCY})
+_EMERGENCY = Status.EMERGENCY
 
 
 def rank_of(ua_type: UaType | None, status: Status | None) -> int:
     """Rank of an aircraft received by Remote ID, from its reported type and status."""
-    if status in IN_DISTRESS:
+    if status == _EMERGENCY:
         return HELPLESS
     return FREE if ua_type is None else RANKS.get(ua_type, FREE)
 

@@ -55,6 +55,8 @@ class Track:
     messages: int = 1
     past: kernels.Past = kernels.NO_PAST
     """Memory of `kernels.note_track`."""
+    silent_after_s: float = math.inf
+    """Time since the last reception from which it counts as silent (`kernels.silent_after`)."""
     past_vertical: bool = False
     """Whether `past` includes heights."""
     past_clocked: bool = False
@@ -92,6 +94,7 @@ class Track:
         sigma = self.sigma_m if clocked else math.hypot(self.sigma_m, _CLOCKLESS_S * math.hypot(*v))
         noted = kernels.note_track(tuple(past), at_s, (p[0], p[1], down), (v[0], v[1], sinking), sigma)
         self.past = kernels.Past._make(noted)
+        self.silent_after_s = kernels.silent_after(self.past.gap_s)
 
     @property
     def flags(self) -> frozenset[Flag]:

@@ -19,7 +19,6 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from companion.avoidance.kernels import silent_after
 from companion.avoidance.law import Neighbour
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard, TrackFlagged
@@ -176,7 +175,7 @@ class Traffic:
                 t.sigma_m,
                 t.sigma_mps,
                 t.past.growth_mps,
-                now_s - t.received_s > silent_after(t.past.gap_s),
+                now_s - t.received_s > t.silent_after_s,
                 share_of(self._own_rank, _rank(t)),
                 t.vertical_known,
             )

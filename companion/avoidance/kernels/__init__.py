@@ -12,7 +12,8 @@
 
 No function allocates: arrays are owned by the caller. What is called from Python at every step
 (`decide_plain`, `note_velocity`, `note_track`, `path_position`, `path_nearest`) takes and returns plain
-tuples, because numba takes 2 us to take over or to return a named one.
+tuples, because numba takes 2 us to take over or to return a named one. `warm_up` calls all that Python calls
+in flight.
 """
 
 from companion.avoidance.kernels.compiled import FUNCTIONS, SOURCES

@@ -65,7 +65,7 @@ from companion.avoidance.kernels.vectors import (
     put_plane,
     times,
 )
-from companion.avoidance.kernels.walls import NO_WALLS
+from companion.avoidance.kernels.walls import NO_WALLS, inside
 
 SLACK_MPS = 0.02
 """Slack for `programs.solve` in a decision that cannot satisfy every plane."""
@@ -338,3 +338,4 @@ def warm_up() -> None:
     note_track(tuple(NO_PAST), 1.0, zero, zero, 1.0)
     path_position(*path, 0.0)
     path_nearest(*path, 0.0, 0.0, 0.0)
+    inside(np.zeros((1, NO_WALLS.shape[1])), 0, 1, Point(0.0, 0.0))

@@ -154,7 +154,6 @@ def settings_at(settings: Floats, row: int) -> Settings:
     )  # fmt: skip
 
 
-@compiled
 def first_state(settings: Settings, samples: int) -> State:
     """The state before the first decision. The published law begins as after a recovery.
 

@@ -55,6 +55,27 @@ def test_warm_up_compiles_everything_that_flies() -> None:
     assert {f: len(f.signatures) for f in flown} == compiled
 
 
+def test_a_flight_loads_nothing_after_the_warm_up() -> None:
+    """Loading the first kernel of a process takes some 0.3 s, in which a vehicle waits for its setpoint."""
+    program = (
+        "from companion.avoidance import kernels as k\n"
+        "from companion.avoidance.law import Law\n"
+        "from companion.avoidance.trajectory import Trajectory\n"
+        "from companion.avoidance.walls import walls_of\n"
+        "from companion.config import AvoidanceConfig, LimitsConfig\n"
+        "from companion.events import FenceArea\n"
+        "from companion.geometry import LocalFrame\n"
+        "k.warm_up()\n"
+        "before = [len(f.signatures) for f in k.FUNCTIONS]\n"
+        "path = Trajectory([0.0, 9.0], [(0.0, 0.0, -50.0), (9.0, 0.0, -50.0)])\n"
+        "area = FenceArea(inclusion=True, points=((47.0, 8.0),), radius_m=500.0)\n"
+        "walls = walls_of([area], LocalFrame(47.0, 8.0, 450.0), path, 1.0)\n"
+        "Law(AvoidanceConfig(), LimitsConfig(), path, walls).follow(path)\n"
+        "assert [len(f.signatures) for f in k.FUNCTIONS] == before\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=Path(__file__).parents[3])
+
+
 def test_planes_of_the_oracle() -> None:
     cases = json.loads(gzip.decompress(ORACLE.read_bytes()))["cases"]
     compared = 0
