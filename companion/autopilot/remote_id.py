@@ -17,8 +17,8 @@
     relayed SYSTEM that gives the take-off point is ignored: PX4 fills in its own home, ArduPilot sends an
     empty one, and the companion knows the take-off point better. Relayed identities do not become outdated
     and are accepted.
-- ARM_STATUS of another component of our vehicle, whose HEARTBEAT says that it is a Remote ID transmitter, is a
-  report of the vehicle's own module. This includes our own id as the Remote ID component (236), unless we
+- ARM_STATUS of another component of our vehicle, whose HEARTBEAT says that it is a Remote ID transmitter, is
+  a report of the vehicle's own module. This includes our own id as the Remote ID component (236), unless we
   have sent that very frame: one aircraft must have one identity.
 
 A SYSTEM_UPDATE becomes a System: the sender's last System with the updated fields. Without an earlier System

@@ -1,8 +1,8 @@
 """Tells whether the vehicle has a Remote ID module of its own that broadcasts, so that we do not.
 
-One aircraft must have one identity. But an unsigned link carries forged reports too, and a report that silences our
-broadcast makes us invisible to everybody. So a module is believed only after it has reported for a while on
-the ground, and only for as long as it goes on reporting.
+One aircraft must have one identity. But an unsigned link carries forged reports too, and a report that
+silences our broadcast makes us invisible to everybody. So a module is believed only after it has reported for
+a while on the ground, and only for as long as it goes on reporting.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from companion.events import RemoteIdModule
 PROVEN_AFTER_S = 3.0
 """A component that reports for this long, before take-off, is the vehicle's module."""
 _GAP_S = 2.5
-"""Longest pause between two reports of a module; ground stations declare a module dead after the same time."""
+"""Longest pause between two reports of a module. Ground stations declare a module dead after this time."""
 SILENT_S = 5.0
 """A module that does not report for this long no longer broadcasts, as far as we know."""
 

@@ -6,9 +6,9 @@ examples and a font, and report its use to them. Therefore a browser gets the pa
 which adds a Content-Security-Policy (W3C CSP 3) that restricts it to this machine. The same server provides
 the recording as a file.
 
-A page of another host must not read the recording. It could point its own name at this machine (DNS rebinding);
-our server therefore answers only requests for its own address. Rerun's server answers any, so it listens on a
-loopback address that is drawn anew each time and that no other page knows.
+A page of another host must not read the recording. It could point its own name at this machine (DNS
+rebinding); our server therefore answers only requests for its own address. Rerun's server answers any, so it
+listens on a loopback address that is drawn anew each time and that no other page knows.
 """
 
 from __future__ import annotations
