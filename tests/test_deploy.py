@@ -104,7 +104,8 @@ def test_files_that_the_document_copies_are_in_the_project():
 
 def test_the_router_speaks_to_where_the_profiles_listen():
     router = (ROOT / "deploy" / "mavlink-router.conf").read_text()
-    (port,) = re.findall(r"Address = 127\.0\.0\.1\nPort = (\d+)", router)
+    (port,) = re.findall(r"Mode = Normal\nAddress = 127\.0\.0\.1\nPort = (\d+)", router)
+    assert set(re.findall(r"^Address = (.*)", router, re.MULTILINE)) == {"127.0.0.1"}  # no port to a network
     for name in ("ardupilot-udp", "px4-udp"):
         assert f'link = "udpin:127.0.0.1:{port}"' in (ROOT / "config" / f"{name}.toml").read_text()
     device = 'SYMLINK+="autopilot"' in (ROOT / "deploy" / "99-dmuca.rules").read_text()

@@ -206,17 +206,20 @@ class AutopilotLink:
                 self.last_bad = str(error)
         return self._take_events()
 
+    @property
+    def _vehicle_system(self) -> int | None:
+        return None if self.vehicle is None else self.vehicle.system_id
+
     def _leave(self, frame: Frame) -> None:
         self.counts.foreign += 1
         if frame.message_id == _HEARTBEAT_ID:
-            self._remote_id.note_heartbeat(frame)
+            self._remote_id.note_heartbeat(frame, self._vehicle_system)
             two = self._heard.second_autopilot(frame)
             if two is not None:
                 self._events.append(two)
 
     def _take_remote_id(self, frame: Frame, now_s: float) -> None:
-        system_id = None if self.vehicle is None else self.vehicle.system_id
-        event = self._remote_id.event(frame, system_id, now_s)
+        event = self._remote_id.event(frame, self._vehicle_system, now_s)
         if event is not None:
             self._events.append(event)
         elif self._heard.is_ours(frame):

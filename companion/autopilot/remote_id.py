@@ -17,9 +17,9 @@
     relayed SYSTEM that gives the take-off point is ignored: PX4 fills in its own home, ArduPilot sends an
     empty one, and the companion knows the take-off point better. Relayed identities do not become outdated
     and are accepted.
-- ARM_STATUS of another component of our vehicle shows that the vehicle has a Remote ID transmitter of its
-  own. This includes our own id as the Remote ID component (236), unless we have sent that very frame: one
-  aircraft must have one identity.
+- ARM_STATUS of another component of our vehicle, whose HEARTBEAT says that it is a Remote ID transmitter, is
+  a report of the vehicle's own module. This includes our own id as the Remote ID component (236), unless we
+  have sent that very frame: one aircraft must have one identity.
 
 A SYSTEM_UPDATE becomes a System: the sender's last System with the updated fields. Without an earlier System
 only the position and time are known. The location type is then live, because updates are sent for an operator
@@ -107,6 +107,8 @@ class RemoteIdListener:
         self._component = component
         self._stations: dict[int, bool] = {}
         """Systems that have sent a HEARTBEAT -> whether one of their components is a ground station."""
+        self._transmitters: set[int] = set()
+        """Components of our vehicle that have declared themselves Remote ID transmitters in a HEARTBEAT."""
         self._last_system: dict[int, System] = {}
         self._relayed_utc_s: float | None = None
         self._station_heard_s: float | None = None
@@ -117,10 +119,17 @@ class RemoteIdListener:
         """Start a new piece of input."""
         self._room = MAX_HEARD
 
-    def note_heartbeat(self, frame: Frame) -> None:
-        """Take a HEARTBEAT of another system or component."""
-        station = len(frame.payload) > 4 and frame.payload[4] == _TYPE_STATION
+    def note_heartbeat(self, frame: Frame, vehicle_system: int | None) -> None:
+        """Take a HEARTBEAT of another system or component.
+
+        Args:
+            vehicle_system: system id of our vehicle; None until it is known.
+        """
+        kind = frame.payload[4] if len(frame.payload) > 4 else None
+        station = kind == _TYPE_STATION
         self._stations[frame.system_id] = station or self._stations.get(frame.system_id, False)
+        if kind == MAV_TYPE and frame.system_id == vehicle_system:
+            self._transmitters.add(frame.component_id)
 
     def event(self, frame: Frame, vehicle_system: int | None, now_s: float) -> Event | None:
         """Event for a message of `MESSAGE_IDS`; None when the message is not accepted.
@@ -143,7 +152,7 @@ class RemoteIdListener:
 
     def _module(self, frame: Frame, vehicle_system: int | None) -> RemoteIdModule | None:
         component = frame.component_id
-        if frame.system_id != vehicle_system or component in self._own_components:
+        if frame.system_id != vehicle_system or component not in self._transmitters - self._own_components:
             return None
         if component == COMPONENT_ID and self._component is not None and self._component.has_sent(frame):
             return None

@@ -13,6 +13,7 @@ from companion.broadcast.legal_floor import Decided, keep_floor
 from companion.broadcast.monitor import SelfMonitor
 from companion.broadcast.own_messages import Operator, messages_of
 from companion.broadcast.schedule import Schedule
+from companion.broadcast.vehicle_module import VehicleModule
 from companion.config import Config
 from companion.events import (
     ArmStatus,
@@ -30,7 +31,6 @@ from companion.remote_id.messages import IdType, Location, Message, OperatorId, 
 
 MAX_RATE = 10
 """Largest number of Locations a second."""
-_MODULE_SILENT_S = 5.0
 _DETAIL = 100
 """Number of characters of a radio's own text that are sent to the pilot: two STATUSTEXT chunks."""
 _WELL_AFTER_S = 5.0
@@ -62,9 +62,8 @@ class Broadcaster:
         self._started = False
         """Whether the broadcast has begun. It begins once a legal set of transports can be sent."""
         self._silent: frozenset[str] = frozenset()
-        self._module: RemoteIdModule | None = None
-        self._module_s = 0.0
-        self._module_lost = False
+        self._module = VehicleModule()
+        self._armed = False
         self._told: tuple[object, ...] | None = None
         self._said: str | None = None
         """The trouble last reported to the pilot."""
@@ -88,8 +87,8 @@ class Broadcaster:
                 self._radio = event
             case OperatorData():
                 self._operator.hear(event.messages, now_s)
-            case RemoteIdModule():
-                self._module, self._module_s = event, now_s
+            case RemoteIdModule() if self._config.remote_id.yield_to_module:
+                self._module.observe(event, self._armed, now_s)
             case RemoteIdHeard():
                 if event.address in self._radio.own_addresses:
                     self._monitor.heard(event.transport, now_s)
@@ -107,16 +106,15 @@ class Broadcaster:
     @property
     def gives_way(self) -> bool:
         """Whether the vehicle has a Remote ID module of its own, so that we broadcast nothing."""
-        return self._module is not None
+        return self._module.report is not None
 
     @property
     def trouble(self) -> str | None:
         """Why Remote ID does not work as the law or the configuration requires, in words; None when it
         does."""
-        if self._module is not None:
-            if self._module_lost:
-                return "the vehicle's Remote ID module fell silent"
-            return None if self._module.ready else f"Remote ID module not ready: {self._module.text}"
+        module = self._module.report
+        if module is not None:
+            return None if module.ready else f"Remote ID module not ready: {module.text}"
         if not self._decided.legal:
             return f"Remote ID not legal: {self._decided.reason}"
         if not self._decided.rates and self._config.has_radio:
@@ -128,7 +126,7 @@ class Broadcaster:
     @property
     def lacking(self) -> str | None:
         """Data that the region requires and that is missing, in words; None when nothing is missing."""
-        return self._lacking if self._config.region.transport_sets and self._module is None else None
+        return self._lacking if self._config.region.transport_sets and not self.gives_way else None
 
     def step(self, own: Ownship, now_s: float) -> list[Command]:
         """Commands for this step: broadcasts, changes for the log, texts for the pilot and the ArmStatus."""
@@ -136,19 +134,18 @@ class Broadcaster:
         can_send = frozenset(radio.can_send)
         for transport in radio.confirmed:
             self._monitor.heard(transport, now_s)
-        self._watch_module(own, now_s)
+        commands = self._watch_module(own, now_s)
         if self._floor is None or self._floor[0] is not self._asked or self._floor[1] != can_send:
             self._floor = self._asked, can_send, keep_floor(self._asked, self._config.region, can_send)
         self._decided = self._floor[2]
-        on_air = frozenset(self._schedule.on_air) if self._module is None else frozenset()
+        on_air = frozenset() if self.gives_way else frozenset(self._schedule.on_air)
         self._silent = self._monitor.silent(on_air, frozenset(radio.monitored), now_s)
-        commands: list[Command] = []
         if own.heartbeat is None:
             return commands
         rates: Mapping[str, int] = {}
         messages = self._messages(own, now_s)
         self._lacking = _lacking(self._config, messages)
-        if self._module is None:
+        if not self.gives_way:
             self._started = self._started or (self._decided.legal and bool(self._decided.rates))
             rates = self._decided.rates if self._started else {}
             commands += self._schedule.due(rates, can_send, radio.wifi_channel, messages, now_s)
@@ -164,23 +161,20 @@ class Broadcaster:
         failed = bool(self._silent) or not self._decided.legal
         return messages_of(c.identity, c.remote_id, c.region, own, self._operator, now_s, failed=failed)
 
-    def _watch_module(self, own: Ownship, now_s: float) -> None:
-        """Stop our broadcast while the vehicle has a transmitter of its own: one aircraft must have one
-        identity.
-
-        If the module falls silent, our broadcast resumes only once the vehicle is disarmed. The silence may
-        be due to the link, and to others two broadcasts of one aircraft are two aircraft.
-        """
-        if self._module is None:
-            return
-        self._module_lost = now_s - self._module_s > _MODULE_SILENT_S
-        if self._module_lost and not own.armed:
-            self._module, self._module_lost = None, False
+    def _watch_module(self, own: Ownship, now_s: float) -> list[Command]:
+        """Resume our broadcast when the vehicle's module falls silent, also in flight: an aircraft with two
+        identities is avoided, one with none is not."""
+        self._armed = own.armed
+        if not self._module.fell_silent(now_s):
+            return []
+        text = "DMUCA: the vehicle's Remote ID module fell silent; broadcasting instead"
+        return [Say(severity=Severity.WARNING, text=text)]
 
     def _log(self, rates: Mapping[str, int], commands: list[Command]) -> None:
         """Log a change of the broadcast."""
-        if self._module is not None:
-            reason = f"the vehicle's own Remote ID module (component {self._module.component_id}) broadcasts"
+        module = self._module.report
+        if module is not None:
+            reason = f"the vehicle's own Remote ID module (component {module.component_id}) broadcasts"
         else:
             reason = self._decided.reason
         trouble = self.trouble
@@ -207,7 +201,7 @@ class Broadcaster:
             worst = Severity.CRITICAL if not self._decided.legal else Severity.WARNING
             # The radio's own text changes every second. It is reported together with a trouble, but is no
             # trouble by itself.
-            words = "" if self._module is not None else self._radio.text[:_DETAIL]
+            words = "" if self.gives_way else self._radio.text[:_DETAIL]
             detail = f": {words}" if words else ""
             commands.append(Say(severity=worst, text=f"DMUCA {trouble}{detail}"))
         self._said, self._said_s = trouble, now_s

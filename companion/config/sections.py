@@ -168,6 +168,9 @@ class RemoteIdConfig(_Section, frozen=True):
     """EU class: 1 to 7 for C0 to C6."""
     monitor_s: Annotated[float, Meta(ge=2, le=60)] = 5.0
     """If a receiver could hear our own frames, but hears none for this long, that is a failure."""
+    yield_to_module: bool = True
+    """Whether to leave the broadcast to a Remote ID module of the vehicle. False if the vehicle has none:
+    then no forged report of one on an unsigned link silences the companion."""
     component: bool = False
     """Act as the vehicle's Remote ID component (236) on MAVLink: send its heartbeat and
     OPEN_DRONE_ID_ARM_STATUS."""

@@ -5,6 +5,10 @@ it listens on all interfaces; here it listens on 127.0.0.1 only. Its page would 
 examples and a font, and report its use to them. Therefore a browser gets the page through a server of ours,
 which adds a Content-Security-Policy (W3C CSP 3) that restricts it to this machine. The same server provides
 the recording as a file.
+
+A page of another host must not read the recording. It could point its own name at this machine (DNS
+rebinding); our server therefore answers only requests for its own address. Rerun's server answers any, so it
+listens on a loopback address that is drawn anew each time and that no other page knows.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ import http.client
 import importlib.util
 import os
 import re
+import secrets
 import shutil
 import signal
 import socket
@@ -71,9 +76,10 @@ class WebViewer:
 
     def __init__(self, recording: Path | None = None) -> None:
         program = _program()
-        page, data = _free_ports()
-        self.data_url = f"rerun+http://127.0.0.1:{data}/proxy"
-        words = ["--bind", "127.0.0.1", "--serve-web", "--port", str(data), "--web-viewer-port", str(page)]
+        host = _secret_loopback()
+        page, data = _free_ports(host)
+        self.data_url = f"rerun+http://{host}:{data}/proxy"
+        words = ["--bind", host, "--serve-web", "--port", str(data), "--web-viewer-port", str(page)]
         self._process = subprocess.Popen(
             [program, *words],
             stdin=subprocess.DEVNULL,
@@ -88,8 +94,8 @@ class WebViewer:
         self._front: _Front | None = None
         try:
             for port in (data, page):
-                self._wait_for(port)
-            self._front = _Front(page, data, recording)
+                self._wait_for(host, port)
+            self._front = _Front(host, page, data, recording)
         except BaseException:
             self.close()
             raise
@@ -98,11 +104,11 @@ class WebViewer:
         self.url = f"{own}/?url={quote(shown, safe='')}"
         """Address to open in a browser. A browser without WebGPU needs `&renderer=webgl` appended to it."""
 
-    def _wait_for(self, port: int) -> None:
+    def _wait_for(self, host: str, port: int) -> None:
         give_up_s = time.monotonic() + _START_S
         while time.monotonic() < give_up_s:
             self.check()
-            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
+            with contextlib.suppress(OSError), socket.create_connection((host, port), timeout=1.0):
                 return
             time.sleep(_POLL_S)
         raise ConfigError(f"rerun's web viewer did not start within {_START_S:g} s")
@@ -144,6 +150,7 @@ class _Front(ThreadingHTTPServer):
     """Serves rerun's page, restricted to this machine, and the recording.
 
     Args:
+        host: Address of rerun's servers.
         page: Port of rerun's page.
         data: Port of its data.
         recording: File that is served in addition to the page.
@@ -151,14 +158,15 @@ class _Front(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, page: int, data: int, recording: Path | None) -> None:
-        self.page, self.recording = page, recording
+    def __init__(self, host: str, page: int, data: int, recording: Path | None) -> None:
+        self.rerun, self.recording = (host, page), recording
         self.policy = (
             "default-src 'self' data: blob:; "
             "script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; "
-            f"connect-src 'self' data: blob: http://127.0.0.1:{data} {MAP_TILES}"
+            f"connect-src 'self' data: blob: http://{host}:{data} {MAP_TILES}"
         )
         super().__init__(("127.0.0.1", 0), _Handler)
+        self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
         self._thread = threading.Thread(target=self.serve_forever, kwargs={"poll_interval": _POLL_S})
         self._thread.start()
 
@@ -177,13 +185,17 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Serve the recording, or rerun's file of that name."""
+        if self.headers.get("Host") not in self.server.hosts:
+            allowed = " or ".join(sorted(self.server.hosts))
+            self.send_error(421, explain=f"This server answers only for Host {allowed}.")
+            return
         path = self.path.partition("?")[0]
         if path == _FILE and self.server.recording is not None:
             with self.server.recording.open("rb") as file:
                 self._head(200, "application/octet-stream", os.fstat(file.fileno()).st_size)
                 shutil.copyfileobj(file, self.wfile)
             return
-        rerun = http.client.HTTPConnection("127.0.0.1", self.server.page, timeout=_ANSWER_S)
+        rerun = http.client.HTTPConnection(*self.server.rerun, timeout=_ANSWER_S)
         with contextlib.closing(rerun):
             rerun.request("GET", path)
             answer = rerun.getresponse()
@@ -228,9 +240,14 @@ def _end_with(parent: int) -> Callable[[], None] | None:
     return bind
 
 
-def _free_ports() -> tuple[int, int]:
+def _secret_loopback() -> str:
+    """Return a random address of this machine in 127.0.0.0/8, all of which Linux answers on."""
+    return ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
+
+
+def _free_ports(host: str) -> tuple[int, int]:
     """Return two ports that are free now."""
     with socket.socket() as first, socket.socket() as second:
-        first.bind(("127.0.0.1", 0))
-        second.bind(("127.0.0.1", 0))
+        first.bind((host, 0))
+        second.bind((host, 0))
         return first.getsockname()[1], second.getsockname()[1]

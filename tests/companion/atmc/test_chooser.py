@@ -267,8 +267,14 @@ def test_nothing_is_chosen_before_there_is_a_radio_or_beside_a_module(bench):
     made.step(100)
     assert not chosen(made)
     made = bench(None, "lost.safetensors")
+    made.armed = False
+    for _ in range(5):
+        made.extra.append(RemoteIdModule(component_id=236, ready=True))
+        made.step(20)
+    made.log.clear()
+    made.armed = True
     made.extra.append(RemoteIdModule(component_id=236, ready=True))
-    made.step(100)
+    made.step(90)
     assert not chosen(made)
 
 

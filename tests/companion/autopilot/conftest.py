@@ -41,6 +41,11 @@ class Scripted:
         message = mavlink.MAVLink_heartbeat_message(vehicle_type, self.autopilot, base_mode, mode, 4, 3)
         return self.says(message, system=system)
 
+    def transmitter(self, system: int = 1, component: int = 236) -> list[Event]:
+        """The heartbeat of a Remote ID transmitter."""
+        message = mavlink.MAVLink_heartbeat_message(34, 8, 0, 0, 4, 3)
+        return self.says(message, system=system, component=component)
+
     def current_mode(
         self, mode: int, system: int = 1, component: int = 1, damaged: bool = False
     ) -> list[Event]:

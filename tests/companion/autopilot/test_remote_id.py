@@ -313,6 +313,7 @@ def test_a_relay_is_not_needed_while_the_ground_station_is_heard_itself(ardupilo
 
 
 def test_a_module_tells_whether_it_is_ready(ardupilot: Scripted) -> None:
+    assert ardupilot.transmitter() == ardupilot.transmitter(component=237) == []
     assert ardupilot.says(arm_status(1, b"missing basic_id message"), component=236) == [
         RemoteIdModule(component_id=236, ready=False, text="missing basic_id message")
     ]
@@ -320,11 +321,21 @@ def test_a_module_tells_whether_it_is_ready(ardupilot: Scripted) -> None:
     assert ardupilot.link.counts.module_reports == 2
 
 
+def test_only_a_component_that_calls_itself_a_transmitter_is_a_module(ardupilot: Scripted) -> None:
+    ardupilot.transmitter(system=2)  # a neighbour's
+    ardupilot.says(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), component=236)  # a computer
+    assert ardupilot.says(arm_status(), component=236) == []
+    ardupilot.transmitter()
+    assert ardupilot.says(arm_status(), component=236) == [RemoteIdModule(component_id=236, ready=True)]
+
+
 def test_arm_status_of_ourselves_the_autopilot_and_others_is_no_module(ardupilot: Scripted) -> None:
+    for system, component in ((1, 191), (2, 236)):
+        ardupilot.transmitter(system, component)
     assert ardupilot.says(arm_status()) == []
     assert ardupilot.says(arm_status(), component=191) == []
     assert ardupilot.says(arm_status(), system=2, component=236) == []
-    assert (ardupilot.link.counts.unneeded, ardupilot.link.counts.foreign) == (1, 2)
+    assert (ardupilot.link.counts.unneeded, ardupilot.link.counts.foreign) == (1, 4)
 
 
 # ---------------------------------------------------------------- robustness

@@ -138,6 +138,7 @@ def test_the_component_does_not_take_its_own_status_for_a_module() -> None:
     for _ in range(40):
         scripted.after(0.7)
         assert scripted.link.receive(scripted.link.drain(), scripted.now_s) == []  # a link that echoes
+    scripted.transmitter(component=237)
     assert scripted.says(arm_status(), component=237) == [RemoteIdModule(component_id=237, ready=True)]
 
 
@@ -146,6 +147,8 @@ def test_a_second_transmitter_under_the_components_id_is_a_module() -> None:
     scripted.heartbeat()
     scripted.link.send(READY, scripted.now_s)
     scripted.after(0.7)
+    for _ in range(2):  # so that its sequence numbers differ from ours
+        scripted.transmitter()
     for status, text in ((0, b""), (1, b"missing location message")):
         (event,) = scripted.says(arm_status(status, text), component=236)
         assert event == RemoteIdModule(component_id=236, ready=status == 0, text=text.decode())

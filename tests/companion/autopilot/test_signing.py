@@ -274,10 +274,11 @@ def test_our_own_arm_status_is_known_again_by_the_echo_of_a_router() -> None:
     echo = ours.drain()
     assert {f.component_id for f in FrameScanner().frames(echo)} == {191, 236}
     assert not [event for event in ours.receive(echo, 0.2) if isinstance(event, RemoteIdModule)]
-    another = Peer(component=236, timestamp=START + 10**6).signed(
-        mavlink.MAVLink_open_drone_id_arm_status_message(1, b"no fix")
-    )
-    assert [type(event) for event in ours.receive(another, 0.3)] == [RemoteIdModule]
+    another = Peer(component=236, timestamp=START + 10**6)
+    transmitter = mavlink.MAVLink_heartbeat_message(34, 8, 0, 0, 4, 3)
+    status = mavlink.MAVLink_open_drone_id_arm_status_message(1, b"no fix")
+    heard = ours.receive(another.signed(transmitter) + another.signed(status), 0.3)
+    assert [type(event) for event in heard] == [RemoteIdModule]
 
 
 # ---------------------------------------------------------------- the log

@@ -180,8 +180,10 @@ def test_a_module_and_a_receiver_behind_ardupilot_are_heard():
     trio = Trio()
     module, receiver = MavlinkWriter(1, 236), MavlinkWriter(1, 237)
     mac = bytes.fromhex("c0ffee123456").ljust(20, b"\0")
+    beat = mavlink.MAVLink_heartbeat_message(34, 8, 0, 0, 4, 3)
     heard = mavlink.MAVLink_open_drone_id_operator_id_message(0, 0, mac, 0, b"X")
-    trio.run(5.0, lambda _: module.pack(arm_status(1, b"no fix")) + receiver.pack(heard))
+    messages = (beat, arm_status(1, b"no fix"))
+    trio.run(5.0, lambda _: b"".join(map(module.pack, messages)) + receiver.pack(heard))
     assert set(trio.of(RemoteIdModule)) == {RemoteIdModule(component_id=236, ready=False, text="no fix")}
     assert {e.address for e in trio.of(RemoteIdHeard)} == {"c0:ff:ee:12:34:56"}
     assert len(trio.of(RemoteIdHeard)) >= 4

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import http.client
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -45,10 +48,43 @@ def test_the_page_is_kept_to_this_machine(viewer: WebViewer) -> None:
     assert b"<link" in page
     assert b"fonts.googleapis.com" not in page
     rules = dict(rule.split(" ", 1) for rule in headers["Content-Security-Policy"].split("; "))
-    others = [w for rule in rules.values() for w in rule.split() if "//" in w and "//127.0.0.1:" not in w]
+    others = [w for rule in rules.values() for w in rule.split() if "//" in w and "//127." not in w]
     assert rules["default-src"] == "'self' data: blob:"
     assert others == [MAP_TILES]
     assert MAP_TILES in rules["connect-src"]
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1", "[::1]:{port}", ""])
+@pytest.mark.parametrize("path", ["/recording.rrd", "/", "/re_viewer_bg.wasm"])
+def test_requests_for_another_host_are_refused(viewer: WebViewer, host: str, path: str) -> None:
+    """A page whose name points at this machine (DNS rebinding) sends its own name as Host."""
+    port = urllib.parse.urlsplit(viewer.url).port
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20.0)
+    with contextlib.closing(connection):
+        connection.request("GET", path, headers={"Host": host.format(port=port)})
+        answer = connection.getresponse()
+        assert answer.status == 421
+        assert CONTENT[:64] not in answer.read()
+
+
+def test_localhost_is_this_machine(viewer: WebViewer) -> None:
+    port = urllib.parse.urlsplit(viewer.url).port
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20.0)
+    with contextlib.closing(connection):
+        connection.request("GET", "/recording.rrd", headers={"Host": f"localhost:{port}"})
+        assert connection.getresponse().read() == CONTENT
+
+
+def test_reruns_own_server_listens_where_no_other_page_knows(viewer: WebViewer) -> None:
+    """It answers any Host, and a rebinding page would have to guess one of 16 million addresses."""
+    address = urllib.parse.urlsplit(viewer.data_url.removeprefix("rerun+"))
+    assert address.hostname is not None
+    assert address.hostname.startswith("127.")
+    assert address.hostname != "127.0.0.1"
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", address.port or 0), timeout=5.0).close()
+    with WebViewer(viewer._front.recording if viewer._front else None) as another:
+        assert urllib.parse.urlsplit(another.data_url.removeprefix("rerun+")).hostname != address.hostname
 
 
 def test_the_recording_and_the_program_are_served_whole(viewer: WebViewer) -> None:
