@@ -1,19 +1,17 @@
-"""The configured limits beside the vehicle's own: the law, the path, and what the operator is told of a path."""
+"""The configured limits beside the vehicle's own, for the law and for paths."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import msgspec
 import pytest
 
 from companion.authority.table import HOLDING, State
 from companion.avoidance.limits import effective
 from companion.avoidance.trajectory import Trajectory, check_speeds
-from companion.config import AvoidanceConfig, LimitsConfig
+from companion.config import LimitsConfig
 from companion.errors import ConfigError
-from companion.events import Firmware, MissionItem, Parameter, Say, Severity, VehicleParameters
+from companion.events import Firmware, Parameter, Say, Severity, VehicleParameters
 
 LIMITS = LimitsConfig()
 
