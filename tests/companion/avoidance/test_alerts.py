@@ -314,6 +314,8 @@ def test_the_reason_names_track_distances_time_and_what_bounds():
             decision(view()),
             "warning X: closest 6 m aside, 0 m in height, in 4 s; avoiding",
         ),
+        # 8 m ahead at 10 m/s.
+        ((8.0, 9.0, -50.0), None, "warning X: closest 9 m aside, 0 m in height, in 1 s"),
     ],
 )
 def test_reasons(where, result, reason):
