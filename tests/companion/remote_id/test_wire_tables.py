@@ -116,8 +116,10 @@ def test_speeds_are_quarters_then_three_quarters(mps: float | None, raw: tuple[i
 
 @pytest.mark.parametrize(
     ("byte", "mps"),
-    [(0, 0.0), (1, 0.5), (124, 62.0), (125, None), (126, None), (127, None), (128, None), (131, None)]
-    + [(132, -62.0), (255, -0.5)],
+    [
+        *((0, 0.0), (1, 0.5), (124, 62.0), (132, -62.0), (255, -0.5)),
+        *((byte, None) for byte in (125, 126, 127, 128, 131)),
+    ],
 )
 def test_climbs_are_half_metres_a_second(byte: int, mps: float | None) -> None:
     assert wire_values.CLIMBS_MPS[byte] == mps
