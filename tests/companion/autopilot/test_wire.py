@@ -46,9 +46,9 @@ def test_every_cut_of_a_stream_gives_the_same_messages() -> None:
     whole = MavlinkReader()
     expected = [m.get_type() for m in whole.feed(stream)]
     assert len(expected) == 9
-    for cut in range(len(stream)):
+    for at in range(len(stream)):
         reader = MavlinkReader()
-        got = [m.get_type() for part in (stream[:cut], stream[cut:]) for m in reader.feed(part)]
+        got = [m.get_type() for part in (stream[:at], stream[at:]) for m in reader.feed(part)]
         assert got == expected
         assert reader.counts == whole.counts
 
