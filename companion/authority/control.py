@@ -194,8 +194,6 @@ class Control:
         self._conflicts = self._conflicts + 1 if result.conflict and guarded else 0
         if self._conflicts >= _SURE:
             commands += self._move(now_s, {Trigger.CONFLICT: None}, result=result)
-            # The path to the item may end before the conflict that the mission flies into. Count it anyway.
-            self._conflict_s = now_s
 
     def _fly(self, now_s: float, cycle: Cycle, commands: list[Command]) -> Vec3 | None:
         """Command the law's latest decision, and ask for our mode once setpoints stream.
@@ -350,7 +348,8 @@ class Control:
         commands = [] if self._handback is None else self._handback.begin(now_s)
         self._sticks.begin()
         self._modes.left_in = frozenset()
-        # A mission is handed back after some time without a conflict. That time starts now.
+        # A mission is handed back after some time without a conflict. That time starts now, even if the path
+        # to the item ends before the conflict that the mission flies into.
         self._conflict_s = -math.inf if self._handback is None else now_s
         self._commanded_s = now_s
         self._modes.seek(now_s)

@@ -185,6 +185,35 @@ def test_what_the_estimators_flags_say(flags: int, px4: bool, ardupilot: bool) -
     assert told.usable is px4
 
 
+# ---------------------------------------------------------------- sticks
+
+
+def channels(roll: int = 1500, pitch: int = 1500, yaw: int = 1500, count: int = 16) -> Any:
+    """RC_CHANNELS with the throttle and the switches out of range."""
+    return mavlink.MAVLink_rc_channels_message(1, count, roll, pitch, 0, yaw, *[0] * 14, 255)
+
+
+def test_sticks_are_roll_pitch_and_yaw_of_channels_1_2_and_4() -> None:
+    assert read(channels(1200, 1400, 1900)).sticks_us == (1200, 1400, 1900)
+
+
+@pytest.mark.parametrize(
+    ("told", "known"),
+    [
+        ({"roll": 800, "pitch": 2200, "yaw": 800}, True),
+        ({"roll": 799}, False),
+        ({"pitch": 2201}, False),
+        ({"yaw": 65535}, False),
+        ({"yaw": 0}, False),
+        # Without a remote control no channel is received; the values are of no meaning then.
+        ({"count": 0}, False),
+        ({"count": 1}, True),
+    ],
+)
+def test_without_a_signal_of_all_three_there_are_no_sticks(told: dict[str, int], known: bool) -> None:
+    assert (read(channels(**told)).sticks_us is not None) is known
+
+
 # ---------------------------------------------------------------- ADS-B
 
 COORDS, ALTITUDE, HEADING, VELOCITY, CALLSIGN, SQUAWK, VERTICAL = 1, 2, 4, 8, 16, 32, 128

@@ -17,6 +17,13 @@ from companion.autopilot.wire import (
     MavlinkReader,
     MavlinkWriter,
     checksum,
+    cut,
+    flagged,
+    is_known,
+    is_signed,
+    is_whole,
+    message_id_of,
+    without_signature,
 )
 
 UNKNOWN_V2 = bytes([0xFD, 3, 0, 0, 0, 1, 1, 0x39, 0x30, 0, 1, 2, 3, 0xAA, 0xBB])
@@ -39,9 +46,9 @@ def test_every_cut_of_a_stream_gives_the_same_messages() -> None:
     whole = MavlinkReader()
     expected = [m.get_type() for m in whole.feed(stream)]
     assert len(expected) == 9
-    for cut in range(len(stream)):
+    for at in range(len(stream)):
         reader = MavlinkReader()
-        got = [m.get_type() for part in (stream[:cut], stream[cut:]) for m in reader.feed(part)]
+        got = [m.get_type() for part in (stream[:at], stream[at:]) for m in reader.feed(part)]
         assert got == expected
         assert reader.counts == whole.counts
 
@@ -171,3 +178,64 @@ def test_current_mode_is_framed_as_the_dialect_that_has_it_frames_it() -> None:
     reader = MavlinkReader()
     assert reader.feed(frame) == []
     assert (reader.counts.messages, reader.counts.unknown, reader.counts.corrupt) == (0, 1, 0)
+
+
+def wide_frame(flags: int = 0) -> bytes:
+    """An unknown message whose id needs all three bytes; every header field has a number of its own."""
+    return bytes([0xFD, 2, flags, 0, 7, 42, 191, 0x56, 0x34, 0x12, 0xAA, 0xBB, 0x01, 0x02])
+
+
+def test_the_parts_of_a_frame() -> None:
+    scanner = FrameScanner(keep_unknown=True)
+    (frame,) = scanner.frames(wide_frame())
+    assert (frame.message_id, frame.system_id, frame.component_id) == (0x123456, 42, 191)
+    assert (frame.payload, frame.raw) == (b"\xaa\xbb", wide_frame())
+    assert message_id_of(wide_frame()) == 0x123456
+    old = bytes([0xFE, 2, 7, 42, 191, 99, 0xAA, 0xBB, 0x01, 0x02])
+    assert cut(old) == (99, 42, 191, b"\xaa\xbb", old)
+    assert message_id_of(old) == 99
+
+
+@pytest.mark.parametrize("message_id", [0, 33, 12_901])
+def test_our_frames_carry_the_message_id_in_three_bytes(message_id: int) -> None:
+    assert is_known(message_id)
+    frame = MavlinkWriter(1, 191).pack_payload(message_id, b"\x01")
+    assert frame[7:10] == message_id.to_bytes(3, "little")
+    assert is_whole(frame)
+
+
+def test_a_flag_of_signed_frames_changes_the_checksum_as_if_computed_anew() -> None:
+    for frame in frames()[:4]:
+        marked = flagged(frame)
+        assert marked[2] == frame[2] | 1
+        assert marked[:2] + marked[3:-2] == frame[:2] + frame[3:-2]
+        assert marked[-2:] == checksum(marked[1:-2], message_id_of(frame)).to_bytes(2, "little")
+        assert is_whole(marked)
+        signed = marked + bytes(13)
+        assert is_signed(signed)
+        assert not is_signed(frame)
+        assert without_signature(signed) == without_signature(frame) == frame
+
+
+@pytest.mark.parametrize("at", [2, 4, -1, -2, -3])
+def test_every_byte_counts_for_the_checksum(at: int) -> None:
+    """Flags, sequence or sender, payload and checksum."""
+    for frame in frames():
+        damaged = bytearray(frame)
+        damaged[at] ^= 0x10
+        assert is_whole(frame)
+        assert not is_whole(bytes(damaged))
+
+
+def test_the_sequence_wraps_after_255() -> None:
+    writer = MavlinkWriter(1, 191)
+    numbers = [writer.pack_payload(0, bytes(9))[4] for _ in range(258)]
+    assert numbers == [*range(256), 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("payload", "sent"), [(b"\x01\0\0", b"\x01"), (b"\0\0\0", b"\0"), (b"\0\x02", b"\0\x02")]
+)
+def test_trailing_zeros_are_left_out_but_for_one_byte(payload: bytes, sent: bytes) -> None:
+    frame = MavlinkWriter(1, 191).pack_payload(0, payload)
+    assert (frame[1], frame[10:-2]) == (len(sent), sent)

@@ -107,6 +107,9 @@ class Looks:
         ((1000, 0, -60), (50, 0, 0), CREWED_M, 3.0, 20.0, 0.0, 60.0, (1000.0 - math.sqrt(12600.0)) / 50.0),
         # The closest point is that of the scaled distance: (20, 0, 0) along (1, 0, 2) after 20 / 5 s.
         ((20, 0, 0), (1, 0, 1), 1.0, 2.0, 4.0, 16.0, 4.0, math.inf),
+        # Across: (60, -30, 0) along (3, -4, 0) is nearest after 300 / 25 s, at (24, 18, 0).
+        ((60, -30, 0), (3, -4, 0), 1.0, 1.0, 12.0, 30.0, 0.0, math.inf),
+        ((0, 50, 0), (0, 5, 0), 10.0, 1.0, 10.0, 0.0, 0.0, 8.0),
         # Lost already, coming nearer and parting.
         ((5, 0, 0), (1, 0, 0), 10.0, 1.0, 5.0, 0.0, 0.0, 0.0),
         ((5, 0, 0), (-1, 0, 0), 10.0, 1.0, 0.0, 5.0, 0.0, 0.0),
@@ -314,6 +317,8 @@ def test_the_reason_names_track_distances_time_and_what_bounds():
             decision(view()),
             "warning X: closest 6 m aside, 0 m in height, in 4 s; avoiding",
         ),
+        # 8 m ahead at 10 m/s.
+        ((8.0, 9.0, -50.0), None, "warning X: closest 9 m aside, 0 m in height, in 1 s"),
     ],
 )
 def test_reasons(where, result, reason):

@@ -138,10 +138,12 @@ def test_trap_both_choose_sides_that_part() -> None:
 
 
 def test_trap_straight_above_is_not_a_hole() -> None:
-    *n, s = half_space((0, 0, 40), (0, 0, 9))
-    assert np.isfinite([*n, s]).all()
-    assert np.linalg.norm(n) == pytest.approx(1.0)
-    assert s > 0.0
+    """There is no right: the upper one (here we) goes north, the lower one south."""
+    for below in (1.0, -1.0):
+        *n, s = half_space((0, 0, 40 * below), (0, 0, 9 * below))
+        # 10 m of radius at 40 m: a quarter of the way out is back.
+        assert n == pytest.approx([math.sqrt(15.0 / 16.0) * below, 0.0, -0.25 * below])
+        assert s == pytest.approx(9.0 / 4.0)
 
 
 def test_trap_relative_velocity_in_the_centre_of_the_sphere() -> None:
@@ -151,6 +153,9 @@ def test_trap_relative_velocity_in_the_centre_of_the_sphere() -> None:
     assert s == pytest.approx(0.5)
     *n, s = half_space((5.0, 0, 0), (2.5, 0, 0))
     assert n == [-1.0, 0.0, 0.0]
+    assert s == pytest.approx(5.0)
+    *n, s = half_space((2.0, -3.0, 6.0), (1.0, -1.5, 3.0))
+    assert n == pytest.approx([-2.0 / 7.0, 3.0 / 7.0, -6.0 / 7.0])
     assert s == pytest.approx(5.0)
 
 

@@ -1,20 +1,17 @@
-"""The configured limits beside the vehicle's own: the law, the path, and what the operator is told."""
+"""The configured limits beside the vehicle's own, for the law and for paths."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import msgspec
 import pytest
 
 from companion.authority.table import HOLDING, State
-from companion.autopilot.advice import after_silence, remarks, too_fast
 from companion.avoidance.limits import effective
 from companion.avoidance.trajectory import Trajectory, check_speeds
-from companion.config import AvoidanceConfig, LimitsConfig
+from companion.config import LimitsConfig
 from companion.errors import ConfigError
-from companion.events import Firmware, MissionItem, Parameter, Say, Severity, VehicleParameters
+from companion.events import Firmware, Parameter, Say, Severity, VehicleParameters
 
 LIMITS = LimitsConfig()
 
@@ -24,59 +21,7 @@ def told(firmware: Firmware = Firmware.ARDUPILOT, **values: tuple[str, float]) -
     return VehicleParameters(firmware=firmware, **fields)
 
 
-def adsb(radius_m: float, receiver: float = 1) -> VehicleParameters:
-    return told(adsb_type=("ADSB_TYPE", receiver), adsb_radius_m=("ADSB_LIST_RADIUS", radius_m))
-
-
 SLOW = told(speed_mps=("WPNAV_SPEED", 2.0))
-
-
-def mission(*speeds_mps: float) -> list[MissionItem]:
-    """A change of speed (0: none) before each waypoint; item 1 is the first of them."""
-    items = [
-        (
-            MissionItem(seq=2 * n + 1, command=178, frame=2, params=(1.0, speed_mps, -1.0, 0.0)),
-            MissionItem(seq=2 * n + 2, command=16, frame=6, lat_deg=47.0, lon_deg=8.0, alt_m=30.0),
-        )
-        for n, speed_mps in enumerate(speeds_mps)
-    ]
-    return [item for pair in items for item in pair if item.command != 178 or item.params[1]]
-
-
-PX4 = told(Firmware.PX4, speed_mps=("MPC_XY_VEL_MAX", 12.0), cruise_mps=("MPC_XY_CRUISE", 7.0))
-COPTER = told(speed_mps=("WP_SPD", 10.0))
-
-
-@pytest.mark.parametrize(
-    ("vehicle", "items", "limit_mps", "words"),
-    [
-        (COPTER, mission(0.0), 10.0, None),
-        (COPTER, mission(0.0), 5.0, "WP_SPD 10 is above limits.max_speed_mps 5"),
-        (COPTER, [], 5.0, "WP_SPD 10 is above limits.max_speed_mps 5"),
-        (COPTER, mission(5.0), 5.0, None),
-        (COPTER, mission(5.0, 9.6), 5.0, "mission item 3: 9.6 m/s is above limits.max_speed_mps 5"),
-        (COPTER, mission(0.0, 5.0), 5.0, "WP_SPD 10 is above limits.max_speed_mps 5"),
-        # ArduPilot flies above its own speed where a mission asks for it; the companion does not.
-        (COPTER, mission(12.0), 15.0, "mission item 1: 12 m/s is above WP_SPD 10"),
-        (told(), mission(0.0), 5.0, None),
-        (told(), mission(6.0), 5.0, "mission item 1: 6 m/s is above limits.max_speed_mps 5"),
-        (PX4, mission(0.0), 7.0, None),
-        (PX4, mission(0.0), 5.0, "MPC_XY_CRUISE 7 is above limits.max_speed_mps 5"),
-        (PX4, mission(15.0), 8.0, "mission item 1: 15 m/s is above limits.max_speed_mps 8"),
-        # In single precision, as both are told.
-        (told(cruise_mps=("MPC_XY_CRUISE", 5.300000190734863)), mission(0.0), 5.3, None),
-        (told(), mission(5.300000190734863), 5.3, None),
-        (told(), mission(5.31), 5.3, "mission item 1: 5.31 m/s is above limits.max_speed_mps 5.3"),
-        # PX4 never flies above it.
-        (PX4, mission(15.0), 20.0, None),
-    ],
-)
-def test_a_mission_that_is_faster_than_the_limit(
-    vehicle: VehicleParameters, items: list[MissionItem], limit_mps: float, words: str | None
-) -> None:
-    text = too_fast(LimitsConfig(max_speed_mps=limit_mps), vehicle, items)
-    slows = ": when taken in a conflict, the vehicle slows down to that at once"
-    assert text == (None if words is None else words + slows)
 
 
 def test_the_lower_of_each_counts() -> None:
@@ -163,76 +108,3 @@ def test_it_is_said_once_and_again_only_when_it_changes(make_bench) -> None:
     severities = {c.severity for _, c in bench.log if isinstance(c, Say) and "WP_SPD" in c.text}
     assert severities == {Severity.WARNING}
     assert bench.core.state in HOLDING
-
-
-# ---------------------------------------------------------------- remarks
-
-
-@pytest.mark.parametrize(
-    ("vehicle", "over", "words"),
-    [
-        (
-            told(setpoint_timeout_s=("GUID_TIMEOUT", 0.4)),
-            {},
-            "GUID_TIMEOUT 0.4 s is too short for 20 setpoints",
-        ),
-        (told(setpoint_timeout_s=("GUID_TIMEOUT", 0.5)), {}, None),
-        (
-            told(Firmware.PX4, setpoint_timeout_s=("COM_OF_LOSS_T", 0.9)),
-            {"setpoint_rate_hz": 5.0},
-            "for 5 setpoints a second: set 1 or more",
-        ),
-        (told(Firmware.PX4, setpoint_timeout_s=("COM_OF_LOSS_T", 1.0)), {"setpoint_rate_hz": 5.0}, None),
-        (
-            told(Firmware.PX4, loss_action=("COM_OBL_RC_ACT", 6)),
-            {},
-            "COM_OBL_RC_ACT 6: without setpoints the vehicle",
-        ),
-        (told(Firmware.PX4, loss_action=("COM_OBL_RC_ACT", 7)), {}, "without setpoints the vehicle disarms"),
-        (told(Firmware.PX4, loss_action=("COM_OBL_RC_ACT", 3)), {}, None),
-        (told(fence_action=("FENCE_ENABLE", 0)), {"fence": "vehicle"}, "FENCE_ENABLE 0: the vehicle itself"),
-        (told(fence_action=("FENCE_ENABLE", 0)), {}, None),
-        (told(fence_action=("FENCE_ENABLE", 1)), {"fence": "vehicle"}, None),
-        (told(Firmware.PX4, fence_action=("GF_ACTION", 1)), {"fence": "vehicle"}, "GF_ACTION 1: the vehicle"),
-        (told(Firmware.PX4, fence_action=("GF_ACTION", 3)), {"fence": "vehicle"}, None),
-        (told(setpoint_timeout_s=("GUID_TIMEOUT", 0.1)), {"use": "watch"}, None),
-        (told(mission_restart=("MIS_RESTART", 1)), {"use": "guard"}, "MIS_RESTART 1: after a handback"),
-        (told(mission_restart=("MIS_RESTART", 0)), {"use": "guard"}, None),
-        (told(mission_restart=("MIS_RESTART", 1)), {}, None),
-        (told(), {}, None),
-        (
-            adsb(2000),
-            {},
-            "ADSB_LIST_RADIUS 2000: the autopilot reports no aircraft beyond 2000 m; at 80 m/s that is 25 s",
-        ),
-        (adsb(2000), {}, "but the look-ahead is 90 s: set 7200 m or more"),
-        (adsb(2000), {"use": "watch"}, "ADSB_LIST_RADIUS 2000"),
-        (adsb(7199), {}, "ADSB_LIST_RADIUS 7199"),
-        (adsb(7200), {}, None),
-        (adsb(0), {}, None),
-        (adsb(2000, receiver=0), {}, None),
-        (told(adsb_radius_m=("ADSB_LIST_RADIUS", 2000)), {}, None),
-        (told(adsb_type=("ADSB_TYPE", 1)), {}, None),
-    ],
-)
-def test_remarks(make_config, vehicle: VehicleParameters, over: dict[str, Any], words: str | None) -> None:
-    config = make_config(**{key: value for key, value in over.items() if key != "fence"})
-    config = msgspec.structs.replace(config, limits=LimitsConfig(fence=over.get("fence")))
-    found = remarks(config, vehicle)
-    assert len(found) == (words is not None)
-    assert words is None or words in found[0]
-
-
-def test_a_longer_look_ahead_asks_for_a_wider_radius(make_config) -> None:
-    config = msgspec.structs.replace(make_config(), avoidance=AvoidanceConfig(horizon_s=100.0))
-    (text,) = remarks(config, adsb(7200))
-    assert text.endswith("the look-ahead is 100 s: set 8000 m or more")
-
-
-def test_what_follows_silence() -> None:
-    assert after_silence(told(setpoint_timeout_s=("GUID_TIMEOUT", 3.0))) == (
-        "without setpoints for 3 s (GUID_TIMEOUT) it brakes and stays in GUIDED"
-    )
-    px4 = told(Firmware.PX4, setpoint_timeout_s=("COM_OF_LOSS_T", 1.0), loss_action=("COM_OBL_RC_ACT", 5.0))
-    assert after_silence(px4) == "without setpoints for 1 s (COM_OF_LOSS_T) it holds (COM_OBL_RC_ACT 5)"
-    assert after_silence(told(Firmware.PX4)) == "without setpoints it follows COM_OBL_RC_ACT"

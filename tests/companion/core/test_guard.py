@@ -328,3 +328,11 @@ def test_the_way_takes_as_long_as_its_length_or_its_climb(guarded, north_m, item
     assert leading_to(bench, item_m, north_m).core.plan.course.law.trajectory.times_s[-1] == pytest.approx(
         seconds, rel=0.02
     )
+
+
+@pytest.mark.parametrize(("flown_mps", "way_mps"), [(0.4, 1.0), (1.5, 1.5), (4.5, 4.5), (7.0, 5.0)], ids=str)
+def test_the_way_is_flown_as_fast_as_before_within_the_limit_and_not_at_a_crawl(guarded, flown_mps, way_mps):
+    bench = guarded()
+    bench.velocity_ned_mps = (flown_mps, 0.0, 0.0)
+    way = leading_to(bench, 50.0).core.plan.course.law.trajectory
+    assert way.times_s[-1] == pytest.approx(300.0 / way_mps, rel=0.02)

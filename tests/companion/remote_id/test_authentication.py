@@ -277,3 +277,41 @@ def test_bad_keys_are_named(tmp_path):
         Verifier({"A": "a.pem"})
     with pytest.raises(ConfigError, match="1 to 20 Latin-1 characters"):
         Verifier({"A" * 21: PUBLIC_HEX})
+
+
+def test_twenty_signatures_a_second_are_checked_after_twenty_at_once():
+    data, heard = signed()
+    verifier = Verifier({BASIC.uas_id: PUBLIC_HEX})
+
+    def checked(now_s, count):
+        verdicts = [verifier.judge(BASIC.uas_id, data, heard, UTC_S, 0.0, now_s) for _ in range(count)]
+        return verdicts.count(True)
+
+    assert checked(100.0, 25) == 20
+    assert checked(100.26, 25) == 5
+    assert checked(90.0, 25) == 0, "a clock that goes back gives nothing"
+    assert checked(900.0, 25) == 20, "a long pause gives no more than twenty"
+
+
+@pytest.mark.parametrize(("gap_s", "complete"), [(14.9, True), (15.1, False)])
+def test_each_page_keeps_a_set_for_fifteen_seconds(gap_s, complete):
+    assembler = Assembler()
+    given = [assembler.add_page("s", page, gap_s * k) for k, page in enumerate(pages_of())]
+    assert (given[-1] is not None) is complete
+
+
+def test_the_set_that_waited_longest_gives_way():
+    assembler = Assembler(max_sets=2)
+    for source, page in (("a", 0), ("b", 0), ("a", 1), ("c", 0)):
+        assembler.add_page(source, pages_of()[page], 0.0)
+    assert len(assembler) == 2
+    # Page 0 (17 bytes) and page 1 (23 bytes) of "a", page 0 of "c".
+    assert assembler.held_bytes() == 17 + 23 + 17
+    assert len(assembled(assembler, pages_of()[2:], source="a")) == 1
+
+
+def test_a_message_set_needs_all_its_pages_in_one_frame():
+    data, heard = signed()
+    verifier = Verifier({BASIC.uas_id: PUBLIC_HEX})
+    assert verifier.judge(BASIC.uas_id, data, heard, UTC_S, 0.0, 0.0) is True
+    assert verifier.judge(BASIC.uas_id, data, heard[:-1], UTC_S, 0.0, 0.0) is None

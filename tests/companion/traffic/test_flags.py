@@ -18,7 +18,7 @@ from companion.remote_id.messages import (
     Status,
     System,
 )
-from companion.traffic.plausibility import RULES, Flag
+from companion.traffic.plausibility import RULES, Doubts, Flag, Reports
 from tests.companion.traffic.flights import (
     UTC_OFFSET_S,
     Listener,
@@ -295,3 +295,15 @@ def test_every_flag_has_its_sentence():
     for rule in RULES.values():
         assert 1 <= rule.raise_at <= rule.most
         assert rule.text[0].islower()
+
+
+def test_ten_changes_are_reported_at_once_and_ten_a_second():
+    """In the order in which the tracks changed."""
+    reports, flags = Reports(), (Flag.JUMP, Flag.EMERGENCY)
+    for number in range(20):
+        reports.mark(f"{number:02}", Doubts(flags=set(flags)))
+    told = [[report.track_id for report in reports.due(now_s)] for now_s in (100.0, 100.0, 100.5, 900.0)]
+    assert [len(tracks) for tracks in told] == [10, 0, 5, 10]
+    assert [track for tracks in told for track in tracks] == [f"{n // 2:02}" for n in range(25)]
+    reports.forget("19")
+    assert len(reports) == 7

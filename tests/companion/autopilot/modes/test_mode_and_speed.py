@@ -266,3 +266,32 @@ def test_no_vehicle_no_mode() -> None:
 def test_other_is_no_mode_to_ask_for(ardupilot: Scripted) -> None:
     with pytest.raises(ValueError):
         ardupilot.link.send(SetMode(mode=FlightMode.OTHER), ardupilot.now_s)
+
+
+@pytest.mark.parametrize(("gap_s", "asked"), [(0.15, 1), (0.25, 2)])
+def test_after_a_backlog_the_vehicle_is_asked_for_its_mode_five_times_a_second(
+    ardupilot: Scripted, gap_s: float, asked: int
+) -> None:
+    for _ in range(2):
+        ardupilot.link.begin_step(ardupilot.now_s, behind=True)
+        ardupilot.now_s += gap_s
+    wanted = [m for m in ardupilot.told("COMMAND_LONG") if m.command == 512]
+    assert [m.param1 for m in wanted] == [0.0] * asked  # HEARTBEAT
+
+
+def test_without_a_backlog_or_a_vehicle_no_mode_is_asked_for(ardupilot: Scripted) -> None:
+    nobody = Scripted()
+    nobody.link.begin_step(nobody.now_s, behind=True)
+    ardupilot.link.begin_step(ardupilot.now_s, behind=False)
+    assert nobody.told("COMMAND_LONG") == ardupilot.told("COMMAND_LONG") == []
+
+
+def test_after_a_backlog_no_mode_is_asked_for_before_the_vehicle_shows_its_own(ardupilot: Scripted) -> None:
+    """The pilot may have selected another mode meanwhile."""
+    ardupilot.link.begin_step(ardupilot.now_s, behind=True)
+    ardupilot.link.send(EXTERNAL, ardupilot.now_s)
+    ardupilot.after(0.05)
+    assert mode_requests(ardupilot) == []
+    ardupilot.heartbeat()
+    ardupilot.after(0.05)
+    assert len(mode_requests(ardupilot)) == 1

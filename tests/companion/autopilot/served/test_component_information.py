@@ -192,6 +192,19 @@ def test_the_ranges_that_are_told_are_those_that_are_kept(config):
                 changed(name, value, config, Settings())
 
 
+def test_switching_off_is_told_as_a_choice_of_two():
+    """A ground station shows the words instead of a number to type."""
+    switch, *numbers = json.loads(metadata_files(CONFIG)["parameter.json"])["parameters"]
+    assert {value["value"]: value["description"] for value in switch["values"]} == {
+        0: "Watch only",
+        1: "As configured",
+    }
+    assert (switch["min"], switch["max"], switch["decimalPlaces"], switch["increment"]) == (0, 1, 0, 1)
+    for number in numbers:
+        assert number["decimalPlaces"] == 1
+        assert "values" not in number
+
+
 def test_what_there_is_not_is_refused_and_counted():
     station = Station()
     for number, code in ((1, UNSUPPORTED), (395, UNSUPPORTED), (148.5, DENIED), (math.nan, DENIED),

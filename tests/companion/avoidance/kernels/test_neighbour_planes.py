@@ -1,0 +1,161 @@
+"""The planes that another aircraft asks for: where it flies on, and where it may have stopped."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.avoidance import kernels as k
+from companion.avoidance.kernels.neighbours import neighbour_planes
+from companion.avoidance.law import settings_of
+from companion.avoidance.trajectory import Trajectory
+from companion.config import AvoidanceConfig, LimitsConfig
+
+PATH = Trajectory([0.0, 500.0], [(0.0, 0.0, -50.0), (1000.0, 0.0, -50.0)])
+NOW_S = 50.0
+PLACE = (7.0, -4.0, -50.0)
+EAST, NORTH = (0.0, 2.0, 0.0), (2.0, 0.0, 0.0)
+EAST_THEN_NORTH = [(40.0, EAST), (47.0, EAST), (47.5, NORTH), (50.0, NORTH)]
+"""Own velocities by time."""
+
+
+def planes_of(
+    *neighbours: k.Other, wanted: Any = (2.0, 0.0, 0.0), first: int = 3, **avoidance: Any
+) -> tuple[np.ndarray, list[k.Seen], np.ndarray, bool]:
+    """The rows of planes, the reports, what each asks for, and whether there is a conflict."""
+    settings = settings_of(AvoidanceConfig(**avoidance), LimitsConfig(), PATH)
+    own = k.Own(k.Vector(*PLACE), k.Vector(2.0, 0.0, 0.0), 0.0, NOW_S, NOW_S, math.inf, -math.inf)
+    history = k.History(np.array([t for t, _ in EAST_THEN_NORTH]), np.array([v for _, v in EAST_THEN_NORTH]))
+    table = np.zeros((len(neighbours), k.OTHER_COLUMNS))
+    for row, neighbour in enumerate(neighbours):
+        k.put_other(table, row, neighbour)
+    work = k.workspace(0, len(neighbours))
+    work.planes[:] = np.nan
+    work.asked[:] = np.nan
+    after, conflict = neighbour_planes(
+        table, len(neighbours), own, k.Vector(*wanted), settings, history, len(EAST_THEN_NORTH),
+        work.planes, first, work.seen, work.asked,
+    )  # fmt: skip
+    assert np.isnan(work.planes[:first]).all()
+    assert np.isnan(work.planes[after:]).all()
+    seen = [k.seen_at(work.seen, row) for row in range(len(neighbours))]
+    return work.planes[first:after], seen, work.asked, bool(conflict)
+
+
+def other(position: Any, velocity: Any = (0.0, 0.0, 0.0), age_s: float = 0.0, **more: float) -> k.Other:
+    """Positions are given from ours."""
+    values = {"sigma_m": 0.0, "sigma_mps": 0.0, "growth_mps": 0.0, "silent": 0.0, "share": 0.5}
+    values |= {"vertical_known": 1.0, "crewed": 0.0, **more}
+    n, e, d = (a + b for a, b in zip(position, PLACE, strict=True))
+    return k.Other(n, e, d, *velocity, age_s, **values)
+
+
+def level_plane(away: Any, own: Any, velocity: Any, radius_m: float, share: float = 0.5) -> Any:
+    """The plane of a level encounter, in which the volume's height does not matter."""
+    relative = k.Vector(own[0] - velocity[0], own[1] - velocity[1], 0.0)
+    n, s = k.half_space(k.Vector(*away, 0.0), relative, radius_m, 20.0, 2.0)
+    return pytest.approx([*n, n.n * own[0] + n.e * own[1] + share * s])
+
+
+@pytest.mark.parametrize("share", [0.5, 0.75, 1.0])
+def test_a_plane_is_of_the_place_now_and_of_the_own_velocity_then(share: float) -> None:
+    """A message of 4 s ago, when we still flew east."""
+    neighbour = other((80.0, 5.0, 0.0), (-3.0, -1.0, 0.0), 4.0, share=share)
+    planes, (seen,), asked, conflict = planes_of(neighbour)
+    radius_m = 12.0 + 0.2 * 4.0  # the resolution of its velocity
+    assert seen.radius_m == pytest.approx(radius_m)
+    assert (seen.n - PLACE[0], seen.e - PLACE[1], seen.d) == pytest.approx((68.0, 1.0, -50.0))
+    assert len(planes) == 1
+    assert planes[0] == level_plane((68.0, 1.0), (0.0, 2.0), (-3.0, -1.0), radius_m, share)
+    assert asked[0, 0].tolist() == planes[0].tolist()
+    assert asked[0, 1].tolist() == [0.0] * 4
+    # By the wish of 2 m/s north, the relative velocity is (5, 1): it passes 12.4 m aside, within the volume.
+    assert conflict
+    assert seen.conflict == 1.0
+    assert seen.time_s == pytest.approx((68.0 * 5.0 + 1.0) / 26.0)
+    assert seen.distance_m == pytest.approx((68.0 - 5.0) / math.sqrt(26.0))
+
+
+def test_one_that_fell_silent_may_also_stand_where_it_was_a_second_later() -> None:
+    neighbour = other((80.0, 30.0, 0.0), (-3.0, 4.0, 0.0), 4.0, silent=1.0, growth_mps=1.0)
+    planes, (seen,), asked, _ = planes_of(neighbour)
+    radius_m = 12.0 + 1.0 * (4.0 + 4.0)  # its manoeuvres until 4 s from now
+    assert seen.radius_m == pytest.approx(radius_m)
+    assert len(planes) == 2
+    assert planes[0] == level_plane((68.0, 46.0), (0.0, 2.0), (-3.0, 4.0), radius_m)
+    # Against one that stands, our velocity of now counts.
+    assert planes[1] == level_plane((77.0, 34.0), (2.0, 0.0), (0.0, 0.0), radius_m)
+    assert asked[0].tolist() == planes.tolist()
+
+
+@pytest.mark.parametrize(("law", "count"), [("dmuca", 2), ("paper", 1)])
+def test_the_published_law_knows_no_silence(law: str, count: int) -> None:
+    planes, _, _, _ = planes_of(other((80.0, 30.0, 0.0), age_s=4.0, silent=1.0), law=law)
+    assert len(planes) == count
+
+
+def test_planes_for_places_follow_those_of_all_aircraft() -> None:
+    """In the order of the neighbours, whichever of them are silent."""
+    far = [(300.0, 90.0, 0.0), (90.0, 300.0, 0.0), (-90.0, 300.0, 0.0)]
+    heard = [
+        other(place, (-2.0, 1.0, 0.0), 3.0, silent=silent)
+        for place, silent in zip(far, (1.0, 0.0, 1.0), strict=True)
+    ]
+    planes, seen, asked, conflict = planes_of(*heard)
+    assert not conflict
+    assert [row.conflict for row in seen] == [0.0] * 3
+    assert planes.tolist() == [*asked[:, 0].tolist(), asked[0, 1].tolist(), asked[2, 1].tolist()]
+    assert asked[1, 1].tolist() == [0.0] * 4
+
+
+@pytest.mark.parametrize(("silent", "conflict"), [(0.0, False), (1.0, True)])
+def test_a_place_where_one_may_stand_is_a_conflict_too(silent: float, conflict: bool) -> None:
+    """It crosses our way ahead, and is past it by now; it could have stopped on it."""
+    crossing = other((40.0, -6.0, 0.0), (0.0, 6.0, 0.0), 8.0, silent=silent)
+    _, (seen,), _, found = planes_of(crossing)
+    assert found == conflict
+    assert seen.conflict == float(conflict)
+    assert seen.e - PLACE[1] == pytest.approx(42.0)
+
+
+@pytest.mark.parametrize(("known", "conflict"), [(1.0, False), (0.0, True)])
+@pytest.mark.parametrize("silent", [0.0, 1.0])
+def test_an_unknown_height_does_not_separate(known: float, conflict: bool, silent: float) -> None:
+    above = other((60.0, 1.0, -80.0), (-2.0, 0.0, 2.0), 1.0, vertical_known=known, silent=silent)
+    planes, (seen,), _, found = planes_of(above)
+    assert found == conflict
+    if not known:
+        assert (planes[:, 2] == 0.0).all()
+        assert seen.d == PLACE[2]
+    else:
+        assert (planes[:, 2] != 0.0).all()
+        assert seen.d == pytest.approx(PLACE[2] - 78.0)
+
+
+@pytest.mark.parametrize(
+    ("down_m", "conflict"),
+    # 12 m aside are 14.1 m in height: volumes are 1 / 0.85 as tall as wide.
+    [(14.0, True), (-14.0, True), (14.2, False), (-14.2, False)],
+)
+def test_volumes_are_taller_than_wide(down_m: float, conflict: bool) -> None:
+    assert planes_of(other((30.0, 0.0, down_m)))[3] == conflict
+
+
+@pytest.mark.parametrize(("east_m", "conflict"), [(11.9, True), (12.1, False)])
+def test_volumes_are_as_wide_as_both_radii_and_the_margin(east_m: float, conflict: bool) -> None:
+    assert planes_of(other((30.0, east_m, 0.0)))[3] == conflict
+
+
+def test_crewed_aircraft_have_volumes_of_their_own() -> None:
+    """An ellipsoid around the cylinder of both separations, and a longer horizon."""
+    sizes = {"crewed_horizontal_m": 100.0, "crewed_vertical_m": 50.0}
+    _, (seen,), _, _ = planes_of(other((300.0, 0.0, 0.0), crewed=1.0), **sizes)
+    assert seen.radius_m == pytest.approx(100.0 * math.sqrt(2.0) + 2.0)
+    for down_m, conflict in ((71.0, True), (72.0, False)):
+        assert planes_of(other((150.0, 0.0, down_m), crewed=1.0), **sizes)[3] == conflict
+    # Looked ahead for 90 s: at 2 m/s, 180 m and the radius.
+    for north_m, conflict in ((323.0, True), (324.0, False)):
+        assert planes_of(other((north_m, 0.0, 0.0), crewed=1.0), **sizes)[3] == conflict
