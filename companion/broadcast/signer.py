@@ -154,7 +154,7 @@ class Signer:
         for part, is_location in parts:
             lane.sent.pop(part, None)
             lane.sent[part] = is_location
-        if len(lane.sent) > 4 * HASHES_ADVISED:
+        while len(lane.sent) > 4 * HASHES_ADVISED:
             del lane.sent[next(iter(lane.sent))]
 
     def _turns(self) -> Iterator[bytes]:

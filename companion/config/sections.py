@@ -164,8 +164,9 @@ class SigningConfig(_Section, frozen=True):
     links: Annotated[tuple[str, ...], Meta(max_length=5)] = ()
     """Endorsements by the registry, to be sent: first the aircraft's own, then those of the registry by its
     parents. Each is 272 hex digits, or the path (relative to this file) of a file that holds them."""
-    period_s: Annotated[float, Meta(ge=0.5, le=4)] = 2.0
-    """Time between two signatures on each transport; the standard allows 5 s at most."""
+    period_s: Annotated[float, Meta(ge=0.5, le=3)] = 2.0
+    """Time between two signatures on each transport. The standard allows 5 s at most, and other pages may
+    delay a signature on BLE 4 by 1.5 s."""
 
 
 class RemoteIdConfig(_Section, frozen=True):

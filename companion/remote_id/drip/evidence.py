@@ -170,11 +170,8 @@ def wrapper_content(messages: Sequence[bytes]) -> bytes:
     for message in messages:
         if len(message) != MESSAGE_SIZE or message[0] >> 4 not in _WRAPPABLE:
             raise ValueError(f"message {message.hex()} cannot be wrapped; allowed: types 0, 1, 3, 4, 5")
-    return b"".join(sorted(messages, key=_message_type))
-
-
-def _message_type(message: bytes) -> int:
-    return message[0] >> 4
+    ordered: list[bytes] = sorted(messages, key=lambda message: message[0] >> 4)
+    return b"".join(ordered)
 
 
 def read_wrapper(content: bytes) -> tuple[bytes, ...]:
