@@ -164,6 +164,8 @@ class _PageSet:
         if self.given or head is None or head.last_page is None or head.length is None:
             return None
         count = _pages_for(head.length)
+        if len(self.pages) + len(self.early) < count - 2:
+            return None  # more than one page is missing
         parts = [self._part(number) for number in range(1, count)]
         if None in parts and not self._restore(head, parts):
             return None

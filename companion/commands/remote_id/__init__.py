@@ -13,9 +13,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from companion.commands.drip_keys import run_endorse, run_key
 from companion.commands.remote_id.decode import run_decode
 from companion.commands.remote_id.encode import OWN_ADDRESS, run_encode
-from companion.commands.remote_id.keys import run_endorse, run_key
 from companion.commands.remote_id.message_json import EXAMPLES
 from companion.errors import ConfigError
 from companion.remote_id import frames

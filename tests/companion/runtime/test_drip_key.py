@@ -11,11 +11,13 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 
 from companion import config as configuration
 from companion.commands.cli import main
+from companion.commands.drip_keys import find_signing
+from companion.commands.preflight import Preflight
 from companion.config import Config, IdentityConfig, RemoteIdConfig, SigningConfig
 from companion.errors import ConfigError
 from companion.remote_id.drip.det import make_det, parse_det
 from companion.remote_id.drip.keys import public_bytes
-from companion.remote_id.drip.link import decode_endorsement
+from companion.remote_id.drip.link import decode_endorsement, endorse
 from companion.remote_id.messages import IdType
 from companion.runtime.drip_key import make_key, open_signer, read_private_key
 
@@ -78,6 +80,9 @@ def test_a_registry_endorses_an_aircraft(tmp_path, capsys):
     assert loaded.remote_id.signing.links == (text.strip(),)
     signer = open_signer(loaded)
     assert str(signer.det) == det
+    found = Preflight()
+    find_signing(loaded, found)
+    assert [f"{f.light.name} {f.text}" for f in found.findings] == [f"GREEN Remote ID is signed as {det}"]
     again = tmp_path / "again.toml"
     again.write_bytes(configuration.dump(loaded))
     assert configuration.load(again) == loaded
@@ -119,6 +124,24 @@ def test_the_identity_must_be_that_of_the_key(tmp_path):
     with pytest.raises(ConfigError, match=r"identity\.uas_id: .* the key of remote_id\.signing is that of"):
         open_signer(config_with(path, other.identity, IdType.SPECIFIC_SESSION))
     assert open_signer(Config(identity=IdentityConfig(uas_id="X"))) is None
+
+
+def test_what_the_check_before_a_flight_says(tmp_path):
+    path = tmp_path / "drip.pem"
+    found = Preflight()
+    find_signing(config_with(path), found)
+    assert not found.ready
+    key = make_key(path, 16376, 10)
+    det = make_det(public_bytes(key), 16376, 10)
+    ended = endorse(key, det, det, public_bytes(key), 1_600_000_000, 1_600_000_001).encode().hex()
+    for links, words in (((), "no registry endorses"), ((ended,), "is not valid now")):
+        found = Preflight()
+        find_signing(config_with(path, links=links), found)
+        assert words in found.findings[1].text
+        assert found.ready
+    found = Preflight()
+    find_signing(Config(identity=IdentityConfig(uas_id="X")), found)
+    assert not found.findings
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,7 @@
-"""`companion remote-id key|endorse`: make keys for DRIP, and let a registry's key endorse others."""
+"""`companion remote-id key|endorse`: make keys for DRIP, and let a registry's key endorse others.
+
+The configured key is checked here before a flight, too.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,13 @@ import argparse
 import time
 from pathlib import Path
 
+from companion.commands.preflight import Preflight
+from companion.config import Config
 from companion.errors import ConfigError
 from companion.remote_id.drip.det import Det, make_det, parse_det
 from companion.remote_id.drip.keys import public_bytes, public_key_hex
-from companion.remote_id.drip.link import endorse
-from companion.runtime.drip_key import make_key, read_private_key
+from companion.remote_id.drip.link import decode_endorsement, endorse
+from companion.runtime.drip_key import make_key, open_signer, read_private_key
 
 _DAY_S = 86_400
 
@@ -43,3 +48,29 @@ def run_endorse(args: argparse.Namespace) -> int:
         raise ConfigError(str(error)) from error
     print(made.encode().hex())
     return 0
+
+
+def find_signing(config: Config, found: Preflight) -> None:
+    """Check that the key of `remote_id.signing` can be used, and that no endorsement has ended."""
+    signing = config.remote_id.signing
+    try:
+        signer = open_signer(config)
+    except ConfigError as error:
+        found.red("signatures", str(error), "correct the key file or remote_id.signing")
+        return
+    if signing is None or signer is None:
+        return
+    found.green("signatures", f"Remote ID is signed as {signer.det}")
+    if not signing.links:
+        found.yellow(
+            "signatures",
+            "no registry endorses the key: only receivers that have it can verify it",
+            "set remote_id.signing.links",
+        )
+    for link in map(decode_endorsement, map(bytes.fromhex, signing.links)):
+        if not link.not_before_utc_s <= time.time() <= link.not_after_utc_s:
+            found.yellow(
+                "signatures",
+                f"the endorsement of {link.child} by {link.parent} is not valid now",
+                "let the registry endorse it again, or set this computer's clock",
+            )
