@@ -17,6 +17,7 @@ from companion.autopilot.served.own_parameters import OwnParameters
 from companion.autopilot.signing import Signing
 from companion.autopilot.tlog import TlogWriter
 from companion.broadcast.own_messages import basic_id_of
+from companion.broadcast.signer import Signer
 from companion.config import Config
 from companion.core import Companion
 from companion.event_record import Step
@@ -67,6 +68,7 @@ class CompanionSystem:
         utc_guess_s: float = 0.0,
         signing: Signing | None = None,
         settings: Settings | None = None,
+        signer: Signer | None = None,
     ) -> None:
         """Create the core, the gate and the link.
 
@@ -79,6 +81,7 @@ class CompanionSystem:
             utc_guess_s: UTC minus monotonic time for the tlog until the vehicle reports UTC.
             signing: signing of the MAVLink link, as for `AutopilotLink`.
             settings: checked settings that ground stations made earlier; None if there are none.
+            signer: signs the broadcasts; None if nothing is signed. Its signatures are not in the record.
         """
         self.commanding = commanding
         self.tlog = tlog
@@ -95,6 +98,7 @@ class CompanionSystem:
             settings=self._own_parameters,
             information=ComponentInformation(config),
         )
+        self.signer = signer
         self._remote_id_component = config.remote_id.component and commanding
         self._record = record
         # Pass the settings as an event, so that they are recorded and a replay starts with them.
@@ -183,7 +187,11 @@ class CompanionSystem:
                     commands=cast("tuple[AnyCommand, ...]", tuple(commands)),
                 )
             )
-        return [c for c in commands if isinstance(c, Broadcast)]
+        broadcasts = [c for c in commands if isinstance(c, Broadcast)]
+        if self.signer is None:
+            return broadcasts
+        known = self.core.own.utc_offset_s
+        return self.signer.add(broadcasts, now_s, None if known is None else now_s + known)
 
     def _step_events(self, now_s: float, read_s: float | None) -> list[Event]:
         """All events since the last step. Those of this class and of the gate come last."""

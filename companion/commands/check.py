@@ -22,6 +22,7 @@ from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.link import AutopilotLink
 from companion.autopilot.polled.streams import ENOUGH, STREAM_RATES_HZ
 from companion.avoidance.path import check_path
+from companion.commands.drip_keys import find_signing
 from companion.commands.preflight import Preflight
 from companion.config import Config, check_identity
 from companion.errors import ConfigError
@@ -87,7 +88,7 @@ def check(config: Config, say: Callable[[str], None], *, as_json: bool = False) 
         0 if no finding is red, otherwise 1.
     """
     found = Preflight()
-    for probe in (_configuration, _settings, _kernels, _disk, _policy, _radios, _vehicle):
+    for probe in (_configuration, find_signing, _settings, _kernels, _disk, _policy, _radios, _vehicle):
         before = len(found.findings)
         probe(config, found)
         if not as_json:

@@ -8,7 +8,9 @@ from companion.config.sections import Config
 from companion.errors import ConfigError
 from companion.geofence import check_areas
 from companion.laws import LAWS
-from companion.remote_id.authentication import Verifier
+from companion.radio.null.section import NullRadio
+from companion.radio.registry import RadioConfig
+from companion.remote_id.drip.trust import Trust
 
 
 def check(config: Config, name: str) -> None:
@@ -21,7 +23,7 @@ def check(config: Config, name: str) -> None:
         ConfigError: names the file and the keys, and what is allowed.
     """
     try:
-        Verifier(config.traffic.keys)
+        Trust(config.traffic.keys, config.traffic.anchors)
     except ConfigError as error:
         raise ConfigError(f"{name}: {error}") from error
     try:
@@ -36,6 +38,11 @@ def check(config: Config, name: str) -> None:
         raise ConfigError(
             f"{name}: radio: none configured, so no aircraft is heard; "
             f'use = "{use}" needs a [[radio]]{otherwise}'
+        )
+    if config.remote_id.signing is not None and config.has_radio and not any(map(_signs, config.radio)):
+        raise ConfigError(
+            f"{name}: remote_id.signing: no [[radio]] sends signatures; a module that repeats messages at "
+            "its own rates leaves them out"
         )
     if config.remote_id.component and config.vehicle.component_id == 236:
         raise ConfigError(f"{name}: vehicle.component_id: 236 is used by remote_id.component; choose another")
@@ -87,3 +94,8 @@ def _check_limits(config: Config, name: str) -> None:
         raise ConfigError(
             f"{name}: limits.ceiling_height_m: {ceiling:g} must be 5 m or more above floor_height_m {floor:g}"
         )
+
+
+def _signs(radio: RadioConfig) -> bool:
+    """Whether a radio sends every broadcast that it is given."""
+    return radio.at_own_rates is None and not isinstance(radio, NullRadio)

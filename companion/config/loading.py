@@ -12,10 +12,11 @@ import msgspec
 import tomli_w
 
 from companion.config.checks import check
-from companion.config.sections import CHOOSER_WORDS, Config, IdentityConfig, TrajectoryFile
-from companion.errors import ConfigError
+from companion.config.sections import CHOOSER_WORDS, Config, IdentityConfig, SigningConfig, TrajectoryFile
+from companion.errors import ConfigError, PeerDataError
 from companion.geofence import load_fence
-from companion.remote_id.authentication import public_key_hex
+from companion.remote_id.drip.keys import public_key_hex
+from companion.remote_id.drip.link import decode_endorsement
 from companion.remote_id.identity import public_operator_id
 from companion.remote_id.messages import IdType
 from companion.remote_id.region import Region
@@ -25,6 +26,7 @@ T = TypeVar("T")
 
 _RAW_IDS = (IdType.UTM_ASSIGNED_UUID, IdType.SPECIFIC_SESSION)
 _KEY_DIGITS = re.compile("[0-9A-Fa-f]{64}")
+_LINK_DIGITS = re.compile("[0-9A-Fa-f]{272}")
 
 
 def load(path: Path) -> Config:
@@ -64,9 +66,19 @@ def load(path: Path) -> Config:
         config = msgspec.structs.replace(
             config, vehicle=msgspec.structs.replace(config.vehicle, signing_key=where)
         )
-    if config.traffic.keys:
-        keys = {k: _public_key(text, k, path) for k, text in config.traffic.keys.items()}
-        traffic = msgspec.structs.replace(config.traffic, keys=keys)
+    if config.remote_id.signing is not None:
+        remote_id = msgspec.structs.replace(
+            config.remote_id, signing=_signing(config.remote_id.signing, path)
+        )
+        config = msgspec.structs.replace(config, remote_id=remote_id)
+    if config.traffic.keys or config.traffic.anchors:
+        traffic = msgspec.structs.replace(
+            config.traffic,
+            keys={k: _public_key(text, f'keys."{k}"', path) for k, text in config.traffic.keys.items()},
+            anchors={
+                k: _public_key(text, f'anchors."{k}"', path) for k, text in config.traffic.anchors.items()
+            },
+        )
         config = msgspec.structs.replace(config, traffic=traffic)
     check(config, str(path))
     return config
@@ -98,11 +110,27 @@ def _raw_identity(identity: IdentityConfig, path: Path) -> IdentityConfig:
     return msgspec.structs.replace(identity, uas_id=raw)
 
 
-def _public_key(text: str, identity: str, path: Path) -> str:
+def _public_key(text: str, key: str, path: Path) -> str:
     try:
         return public_key_hex(text, path.parent)
     except ConfigError as error:
-        raise ConfigError(f'{path}: traffic.keys."{identity}": {error}') from error
+        raise ConfigError(f"{path}: traffic.{key}: {error}") from error
+
+
+def _signing(signing: SigningConfig, path: Path) -> SigningConfig:
+    """The section with an absolute path of its key, which is not read here, and with its links read."""
+    links = []
+    for number, text in enumerate(signing.links):
+        try:
+            digits = text if _LINK_DIGITS.fullmatch(text) else (path.parent / text).read_text("ascii").strip()
+            links.append(decode_endorsement(bytes.fromhex(digits)).encode().hex())
+        except (OSError, ValueError, PeerDataError) as error:
+            raise ConfigError(
+                f"{path}: remote_id.signing.links[{number}]: {text!r}: neither the 272 hex digits of an "
+                f"endorsement nor a file with them: {error}"
+            ) from error
+    where = str((path.parent / signing.key).absolute())
+    return msgspec.structs.replace(signing, key=where, links=tuple(links))
 
 
 def _beside(path: Path, key: str, file: str, read: Callable[[Path], T]) -> T:

@@ -144,7 +144,29 @@ class TrafficConfig(_Section, frozen=True):
     velocity can have flown."""
     keys: dict[str, str] = {}
     """Ed25519 public key for each identity, to check its signatures with: 64 hex digits, or the path
-    (relative to this file) of a PEM file."""
+    (relative to this file) of a PEM file. An identity that is a DRIP entity tag is written as an IPv6
+    address."""
+    anchors: dict[str, str] = {}
+    """Ed25519 public key for the DRIP entity tag (an IPv6 address) of each registry whose endorsements of
+    aircraft are believed, in the form of `keys`."""
+
+
+class SigningConfig(_Section, frozen=True):
+    """Signatures over the own Remote ID by DRIP (RFC 9374, RFC 9575)."""
+
+    key: Annotated[str, Meta(min_length=1, extra=SECRET)]
+    """Path of the PEM file with the private key (relative to this file; absolute once loaded). A
+    configuration never contains the key itself."""
+    raa: Annotated[int, Meta(ge=0, le=16383)]
+    """Registered Assigning Authority of the aircraft's DRIP entity tag."""
+    hda: Annotated[int, Meta(ge=0, le=16383)]
+    """HHIT Domain Authority of the aircraft's DRIP entity tag."""
+    links: Annotated[tuple[str, ...], Meta(max_length=5)] = ()
+    """Endorsements by the registry, to be sent: first the aircraft's own, then those of the registry by its
+    parents. Each is 272 hex digits, or the path (relative to this file) of a file that holds them."""
+    period_s: Annotated[float, Meta(ge=0.5, le=3)] = 2.0
+    """Time between two signatures on each transport. The standard allows 5 s at most, and other pages may
+    delay a signature on BLE 4 by 1.5 s."""
 
 
 class RemoteIdConfig(_Section, frozen=True):
@@ -174,6 +196,8 @@ class RemoteIdConfig(_Section, frozen=True):
     component: bool = False
     """Act as the vehicle's Remote ID component (236) on MAVLink: send its heartbeat and
     OPEN_DRONE_ID_ARM_STATUS."""
+    signing: SigningConfig | None = None
+    """None: nothing is signed."""
 
 
 class AtmcConfig(_Section, frozen=True):

@@ -3,13 +3,13 @@
 `messages` holds the message types in SI units (`BasicId`, `Location`, `System`, ...). `codec` converts
 messages and packs to payloads and back, on top of `wire_messages` and `wire_values`; `frames` converts
 payloads to the frames of each transport; `mavlink` converts messages to MAVLink payloads. `authentication`
-signs and verifies, `identity` checks identities, and `region.Region` is what a region's law requires of a
-broadcast. The subfolders read capture files (`captures`) and check the codec against reference vectors
-(`conformance`). This room may import `errors`, `toml_reader` and `geometry` (`ROOMS` in
-tests/test_imports.py). Start reading at `messages`, then `codec`.
+splits data into pages and puts pages together, `identity` checks identities, and `region.Region` is what a
+region's law requires of a broadcast. The subfolders sign and verify (`drip`), read capture files (`captures`)
+and check the codec against reference vectors (`conformance`). This room may import `errors`, `toml_reader`
+and `geometry` (`ROOMS` in tests/test_imports.py). Start reading at `messages`, then `codec`.
 """
 
-from companion.remote_id.authentication import Assembler, AuthenticationData, Verifier, sign_pages
+from companion.remote_id.authentication import Assembler, AuthenticationData
 from companion.remote_id.codec import Payload, decode, decode_pack, encode, encode_pack, read_payload
 from companion.remote_id.frames import (
     Counters,
@@ -75,7 +75,6 @@ __all__ = [
     "Status",
     "System",
     "UaType",
-    "Verifier",
     "build_beacon",
     "build_ble4",
     "build_ble5",
@@ -94,5 +93,4 @@ __all__ = [
     "parse_frame",
     "parse_frames",
     "read_payload",
-    "sign_pages",
 ]

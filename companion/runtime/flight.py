@@ -37,6 +37,7 @@ from companion.events import (
 )
 from companion.gate.gate import STALL_S
 from companion.runtime import clock
+from companion.runtime.drip_key import open_signer
 from companion.runtime.lateness import Lateness, scheduling
 from companion.runtime.links.kept_link import KeptLink
 from companion.runtime.links.no_vehicle import no_vehicle
@@ -134,6 +135,7 @@ class Flight:
         with contextlib.ExitStack() as undo:
             undo.callback(self._voice.close)
             self._signing = KeptSigning(config)
+            self._signer = open_signer(config)
             self.link = KeptLink(config.vehicle.link, self._say)
             undo.callback(self.link.close)
             self.radio = Radios(config, sending=not dry_run)
@@ -152,6 +154,7 @@ class Flight:
             utc_guess_s=time.time() - clock.now_s(),
             signing=self._signing.signing,
             settings=settings,
+            signer=self._signer,
         )
         chooser = system.core.chooser
         if chooser is not None and chooser.trouble is not None:

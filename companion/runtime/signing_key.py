@@ -37,7 +37,7 @@ def read_key(path: Path) -> bytes:
         ConfigError: the file cannot be read, is accessible to others than its owner, or holds none of these
             forms. No error text repeats the content of the file.
     """
-    data = _private_bytes(path)
+    data = private_bytes(path, "vehicle.signing_key")
     name = f"vehicle.signing_key: {path}"
     text = data.removesuffix(b"\n").removesuffix(b"\r")
     if not text:
@@ -55,26 +55,34 @@ def read_key(path: Path) -> bytes:
     return sha256(text).digest()
 
 
-def _private_bytes(path: Path) -> bytes:
+def private_bytes(path: Path, key: str) -> bytes:
+    """Read a file that only its owner may access.
+
+    Args:
+        key: key of the configuration that names the file, for errors.
+
+    Raises:
+        ConfigError: the file cannot be read, or is accessible to others.
+    """
     try:
         # O_NONBLOCK: opening a pipe would wait for a writer.
         with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
-                raise ConfigError(f"vehicle.signing_key: {path}: not a regular file")
+                raise ConfigError(f"{key}: {path}: not a regular file")
             if status.st_mode & 0o077:
                 raise ConfigError(
-                    f"vehicle.signing_key: {path}: mode {stat.S_IMODE(status.st_mode):04o} gives other users "
+                    f"{key}: {path}: mode {stat.S_IMODE(status.st_mode):04o} gives other users "
                     f"access to the key; run chmod 600 {path}"
                 )
             return file.read(_MOST_BYTES)
     except FileNotFoundError as error:
         # The text does not repeat the path: a user may have entered the key itself instead of a path.
         raise ConfigError(
-            "vehicle.signing_key: no such file; it is the path of a key file, relative to the configuration"
+            f"{key}: no such file; it is the path of a key file, relative to the configuration"
         ) from error
     except OSError as error:
-        raise ConfigError(f"vehicle.signing_key: {path}: cannot be read: {error.strerror}") from error
+        raise ConfigError(f"{key}: {path}: cannot be read: {error.strerror}") from error
 
 
 class KeptSigning:

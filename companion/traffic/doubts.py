@@ -1,7 +1,7 @@
 """Collects the evidence of each received message for and against the flags of its track.
 
 `plausibility` judges what a single message or a single track shows. This module also uses the other tracks of
-the same identity, the radio addresses and the configured keys. Changed flags are reported to the log.
+the same identity, the radio addresses and the signatures. Changed flags are reported to the log.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from companion.events import RemoteIdHeard
-from companion.remote_id.authentication import MESSAGE_SET_SIGNATURE, AuthenticationData, Verifier
+from companion.remote_id.authentication import AuthenticationData
 from companion.traffic.fix import Fix
 from companion.traffic.plausibility import (
     MESSAGE_FLAGS,
@@ -20,6 +20,7 @@ from companion.traffic.plausibility import (
     message_doubts,
 )
 from companion.traffic.sender_details import Source
+from companion.traffic.signatures import FRESH_S, Signatures, Verdict
 from companion.traffic.track import ESTABLISHED, Track, apart
 
 _TWIN_S = 5.0
@@ -30,8 +31,18 @@ _LEAP = 6
 there while the old one is silent."""
 _TWIN_FLAG = (Flag.DUPLICATE_IDENTITY,)
 _MOTION_FLAG = (Flag.VELOCITY_MISMATCH,)
-_FORGED_FLAG = (Flag.BAD_SIGNATURE,)
 _SIGNER_FLAGS = (Flag.SIGNED, Flag.UNSIGNED)
+_VERDICT_FLAGS = {
+    Verdict.WRONG: Flag.BAD_SIGNATURE,
+    Verdict.FOREIGN: Flag.FOREIGN_SIGNATURE,
+    Verdict.REPLAYED: Flag.REPLAYED_SIGNATURE,
+    Verdict.EXPIRED: Flag.REPLAYED_SIGNATURE,
+    Verdict.EARLY: Flag.REPLAYED_SIGNATURE,
+    Verdict.INCOMPLETE: Flag.INCOMPLETE_SIGNATURE,
+}
+_SIGNATURE_FLAGS = frozenset(_VERDICT_FLAGS.values())
+_NO_EVIDENCE = (Verdict.UNKNOWN_KEY, Verdict.NOTHING_HEARD, Verdict.POSTPONED)
+"""Verdicts that neither speak for a sender nor against it."""
 
 
 @dataclass(slots=True)
@@ -40,8 +51,8 @@ class Judge:
 
     own_uas_id: str
     tracks: Mapping[str, Track]
-    verifier: Verifier | None
-    """None if no keys are configured."""
+    verifier: Signatures | None
+    """None if neither keys nor anchors are configured."""
     reports: Reports = field(default_factory=Reports)
 
     def note(self, track: Track, bad: Collection[Flag], judged: Collection[Flag] = ()) -> None:
@@ -98,43 +109,47 @@ class Judge:
         if not live:
             self.note(track, (), _TWIN_FLAG)
 
-    def check(
+    def proves(
         self,
         source: Source,
-        signature: AuthenticationData,
+        tracks: Sequence[Track],
+        whole: AuthenticationData | None,
         heard: RemoteIdHeard,
         now_s: float,
         utc_offset_s: float | None,
-    ) -> bool | None:
-        """Whether the signature that this frame completed is valid; None if that cannot be verified."""
-        if self.verifier is None or source.identity is None:
-            return None
-        utc_s = None if utc_offset_s is None else now_s + utc_offset_s
-        genuine = self.verifier.judge(
-            source.identity, signature, heard.messages, utc_s, source.signed_utc_s, now_s
-        )
-        if genuine:
-            source.signed_utc_s = signature.timestamp_utc_s or source.signed_utc_s
-            if signature.auth_type != MESSAGE_SET_SIGNATURE:
-                # This signature vouches for the sender. A signed message set vouches only for its own
-                # Location.
-                source.vouched_s = now_s
-        return genuine
-
-    def signature(self, track: Track, genuine: bool) -> None:
-        """Note the result of a signature check for an address that feeds the track."""
-        self.note(track, () if genuine else _FORGED_FLAG, _FORGED_FLAG)
-
-    def signer(
-        self, track: Track, source: Source, genuine: bool | None, now_s: float, utc_known: bool
     ) -> None:
-        """Judge whether a track whose key is known is sent by the key's owner; called after each update."""
-        if self.verifier is None or not self.verifier.knows(track.identity):
+        """Judge the Authentication that a frame completed or ended.
+
+        Args:
+            tracks: those that the frame's address feeds; they are flagged.
+            whole: what the frame completed; None if it ended a set of which pages are missing.
+        """
+        if self.verifier is None:
             return
-        track.vouched_s = max(track.vouched_s, now_s if genuine else source.vouched_s)
+        if whole is None:
+            self._flag(tracks, self.verifier.incomplete(source))
+            return
+        utc_s = None if utc_offset_s is None else now_s + utc_offset_s
+        verdict, proven = self.verifier.judge(source, whole, heard, now_s, utc_s)
+        self._flag(tracks, verdict)
+        for track in proven:
+            track.vouched_s = now_s
+            self.note(track, (Flag.SIGNED,), _SIGNER_FLAGS)
+
+    def _flag(self, tracks: Sequence[Track], verdict: Verdict | None) -> None:
+        if verdict is None or verdict in _NO_EVIDENCE:
+            return
+        flag = _VERDICT_FLAGS.get(verdict)
+        for track in tracks:
+            self.note(track, () if flag is None else (flag,), _SIGNATURE_FLAGS)
+
+    def signer(self, track: Track, now_s: float, utc_known: bool) -> None:
+        """Judge whether a track whose key is known is sent by the key's owner; called after each update."""
+        if self.verifier is None or not self.verifier.trust.knows(track.identity):
+            return
         bad: tuple[Flag, ...] = ()
-        if now_s - track.vouched_s <= self.verifier.fresh_s:
+        if now_s - track.vouched_s <= FRESH_S:
             bad = (Flag.SIGNED,)
-        elif utc_known and now_s - track.opened_s > self.verifier.fresh_s:
+        elif utc_known and now_s - track.opened_s > FRESH_S:
             bad = (Flag.UNSIGNED,)
         self.note(track, bad, _SIGNER_FLAGS)

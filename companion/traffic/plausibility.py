@@ -34,6 +34,9 @@ class Flag(enum.StrEnum):
     SIGNED = "signed"
     UNSIGNED = "unsigned"
     BAD_SIGNATURE = "bad_signature"
+    FOREIGN_SIGNATURE = "foreign_signature"
+    REPLAYED_SIGNATURE = "replayed_signature"
+    INCOMPLETE_SIGNATURE = "incomplete_signature"
 
 
 class Rule(NamedTuple):
@@ -58,9 +61,12 @@ RULES: Final[dict[Flag, Rule]] = {
     Flag.IMPOSSIBLE_VALUES: Rule(2, 6, "it reports an impossible speed, position or altitude"),
     Flag.REMOTE_ID_FAILURE: Rule(1, 3, "it reports a failure of its Remote ID system"),
     Flag.EMERGENCY: Rule(1, 3, "it reports an emergency"),
-    Flag.SIGNED: Rule(1, 1, "a fresh signature of its key was verified"),
+    Flag.SIGNED: Rule(1, 1, "a fresh signature proves its identity"),
     Flag.UNSIGNED: Rule(3, 3, "its key is known, but no fresh signature of it is heard"),
-    Flag.BAD_SIGNATURE: Rule(2, 6, "it sends signatures that are forged, replayed or out of date"),
+    Flag.BAD_SIGNATURE: Rule(2, 6, "it sends signatures that are wrong: altered, or made with another key"),
+    Flag.FOREIGN_SIGNATURE: Rule(2, 6, "it sends signatures of another DRIP entity tag than its own"),
+    Flag.REPLAYED_SIGNATURE: Rule(2, 6, "it sends signatures that are replayed, or dated wrongly"),
+    Flag.INCOMPLETE_SIGNATURE: Rule(3, 3, "its signatures arrive with missing pages"),
 }
 
 MESSAGE_FLAGS: Final = frozenset(

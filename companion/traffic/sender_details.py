@@ -7,12 +7,19 @@ Locations. The last message of each type is held, for a bounded number of addres
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from companion.remote_id.authentication import AuthenticationData
 from companion.remote_id.messages import BasicId, Message, OperatorId, SelfId, System
 from companion.traffic.reception import Reception
+
+if TYPE_CHECKING:
+    from companion.traffic.track import Track
+
+_REPORTED = 40
+"""Frames with Locations that are remembered of an address: three seconds at 10 a second, and some more."""
 
 
 @dataclass(slots=True)
@@ -65,6 +72,18 @@ class About:
 
 
 @dataclass(slots=True)
+class Reported:
+    """A frame with Locations that a signature may cover later."""
+
+    transport: str
+    messages: tuple[Message, ...]
+    tracks: tuple[Track, ...]
+    """Tracks that its Locations fed."""
+    hash: bytes | None = None
+    """Hash by which a Manifest names it; computed when it is first needed."""
+
+
+@dataclass(slots=True)
 class Source:
     """One radio address on one transport."""
 
@@ -73,10 +92,19 @@ class Source:
     identity: str | None = None
     """Identity from the first Basic ID. Later ones do not change it, so that a sender of two identities does
     not rename its track back and forth."""
+    fed: list[Track] = field(default_factory=list)
+    """The track to which its last Location belongs, if any."""
+    reported: deque[Reported] = field(default_factory=lambda: deque(maxlen=_REPORTED))
+    """Its last frames with Locations, if signatures are verified."""
     vouched_s: float = -math.inf
-    """When a UAS ID signature from this address was last valid (our monotonic time)."""
+    """When a signature from this address was last valid (our monotonic time)."""
     signed_utc_s: float = -math.inf
-    """Timestamp (UTC) of the last valid signature from this address."""
+    """Begin of the window (UTC) of the last valid signature from this address."""
+    last_signed: bytes = b""
+    """The last valid evidence, which needs no second check when it is repeated."""
+    checks: float = 0.0
+    checks_s: float = -math.inf
+    """Signature checks that are left to this address, and when that was computed."""
     reception: Reception = field(default_factory=Reception)
 
 

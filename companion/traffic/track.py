@@ -51,7 +51,7 @@ class Track:
     aircraft."""
     doubts: Doubts = field(default_factory=Doubts)
     vouched_s: float = -math.inf
-    """When a signature of its key was last valid (our monotonic time)."""
+    """When a signature last proved its identity (our monotonic time)."""
     messages: int = 1
     past: kernels.Past = kernels.NO_PAST
     """Memory of `kernels.note_track`."""
@@ -100,6 +100,11 @@ class Track:
     def flags(self) -> frozenset[Flag]:
         """Flags that are raised now."""
         return frozenset(self.doubts.flags)
+
+    @property
+    def proven(self) -> bool:
+        """Whether a fresh signature proves its identity. It does not prove that what it reports is true."""
+        return Flag.SIGNED in self.doubts.flags
 
 
 def off(track: Track, fix: Fix, at_s: float) -> float:

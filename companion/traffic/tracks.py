@@ -23,7 +23,8 @@ from companion.avoidance.law import Neighbour
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard, TrackFlagged
 from companion.geometry import LocalFrame, Vec3
-from companion.remote_id.authentication import Assembler, Verifier
+from companion.remote_id.authentication import SPECIFIC_METHOD, Assembler, AuthenticationData
+from companion.remote_id.drip.trust import Trust
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, UaType
 from companion.traffic.doubts import Judge
 from companion.traffic.eviction import Ranking
@@ -33,6 +34,7 @@ from companion.traffic.plausibility import Flag, MotionWindow, status_doubts
 from companion.traffic.reception import Reception
 from companion.traffic.right_of_way import rank_of, share_of
 from companion.traffic.sender_details import About, Source, Sources
+from companion.traffic.signatures import Signatures
 from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, near, off, reach, same
 
 _MAX_RANGE_M = 50_000.0
@@ -77,7 +79,7 @@ class Traffic:
     """The table of all tracks from Remote ID.
 
     Raises:
-        ConfigError: an entry of `config.keys` is not a valid public key.
+        ConfigError: an entry of `config.keys` or `config.anchors` is not a valid public key.
     """
 
     def __init__(self, config: TrafficConfig, own_uas_id: str, own_type: UaType | None = None) -> None:
@@ -92,7 +94,10 @@ class Traffic:
         self._ranking = Ranking()
         self._sources = Sources(_ADDRESSES_PER_TRACK * config.max_tracks)
         self._assembler = Assembler()
-        self._judge = Judge(own_uas_id, self.tracks, Verifier(config.keys) if config.keys else None)
+        trust = Trust(config.keys, config.anchors)
+        self.signatures = Signatures(trust) if trust else None
+        """Verifies signatures; None if neither keys nor anchors are configured."""
+        self._judge = Judge(own_uas_id, self.tracks, self.signatures)
         self._split_number = 1
         """Number of the last split track. It only increases, so that no track id is tried twice."""
         self._own = OwnFlight()
@@ -119,34 +124,46 @@ class Traffic:
         source = self._sources.at(heard.transport, heard.address)
         source.about.rssi_dbm = heard.rssi_dbm
         locations = []
-        signature = None
+        # Authentication that this frame completes, and whether it ends a set of which pages are missing.
+        whole, torn = None, False
         for message in heard.messages:
             if type(message) is Location:
                 locations.append(message)
             elif type(message) is BasicId:
                 self._learn_name(source, message)
             elif type(message) is Authentication:
-                signature = self._assembler.add_page(source.key, message, now_s) or signature
+                whole = self._add_page(source, message, heard, now_s) or whole
+                torn = torn or (self._assembler.gave_up and message.auth_type == SPECIFIC_METHOD)
             else:
                 source.about.keep(message)
         if locations:
             source.reception.count_frame(heard.counter, now_s)
-        genuine = None
-        if signature is not None:
-            source.about.authentication = signature
-            genuine = self._judge.check(source, signature, heard, now_s, utc_offset_s)
+        if whole is not None:
+            source.about.authentication = whole
+        fed: list[Track] = []
         for message in locations:
             fix = make_fix(message, now_s, utc_offset_s, frame, separation_m, self.config.max_clock_offset_s)
             if fix is None or self._is_implausible(fix):
                 self._doubt_place(source, message, fix)
                 continue
             self.counts.clock += fix.stamp_s is None
+            source.fed.clear()
             track = self._take(source, fix, now_s)
             if track is not None:
-                self._judge.signer(track, source, genuine, now_s, utc_offset_s is not None)
-        if genuine is not None:
-            for track in self._of(source):
-                self._judge.signature(track, genuine)
+                self._judge.signer(track, now_s, utc_offset_s is not None)
+            fed += source.fed
+        if self.signatures is not None:
+            if fed:
+                self.signatures.heard(source, heard, fed)
+            for ended in (None,) * torn + (() if whole is None else (whole,)):
+                self._judge.proves(source, self._of(source), ended, heard, now_s, utc_offset_s)
+
+    def _add_page(
+        self, source: Source, page: Authentication, heard: RemoteIdHeard, now_s: float
+    ) -> AuthenticationData | None:
+        counter = heard.counter if len(heard.messages) == 1 else 0  # the pages of one pack are of one set
+        vouched = self.signatures is not None and self.signatures.is_vouched(source, now_s)
+        return self._assembler.add_page(source.key, page, now_s, counter, vouched=vouched)
 
     def flagged(self, now_s: float) -> list[TrackFlagged]:
         """Flags that were raised or cleared and are to be logged now; the rate of reports is limited."""
@@ -293,6 +310,7 @@ class Traffic:
             return None
         if track is None:
             return self._open(identity, known, source, fix, now_s)
+        source.fed.append(track)
         track.fed_by[source.about.transport] = source.key
         if source.key not in track.sources:
             # Also if the content is not new: on two transports the same message arrives twice.
@@ -393,6 +411,7 @@ class Traffic:
             motion=MotionWindow(fix, now_s),
             opened_s=now_s,
         )
+        source.fed.append(track)
         track.about.update(source.about)
         track.remember(fix)
         self._add(track)

@@ -177,12 +177,12 @@ def _assembler() -> Target:
         page = decode(data)
         if not isinstance(page, Authentication):
             return False
-        whole = assembler.add_page(str(data[-1] % 40), page, now_s)
+        whole = assembler.add_page(str(data[-1] % 40), page, now_s, data[-2], vouched=data[-1] % 2 == 0)
         return whole is not None
 
     def check() -> None:
-        assert len(assembler) <= 20
-        assert assembler.held_bytes() <= 20 * (17 + 2 * 15 * 23)
+        assert len(assembler) <= 40
+        assert assembler.held_bytes() <= 40 * (17 + 2 * 15 * 23)
 
     pages = [encode(Authentication(auth_type=1, page=n, data=bytes(23))) for n in range(1, 4)]
     heads = [

@@ -44,8 +44,22 @@ from companion.geometry import LocalFrame
 from companion.radio.ether import datagrams
 from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender, radio_address
 from companion.remote_id import codec, frames
-from companion.remote_id.authentication import sign_pages
+from companion.remote_id.authentication import AuthenticationData, split
 from companion.remote_id.captures.radiotap import build_radiotap, parse_radiotap
+from companion.remote_id.drip.det import Det, det_of, make_det
+from companion.remote_id.drip.evidence import (
+    MANIFEST,
+    NO_HASH,
+    WRAPPER,
+    decode_evidence,
+    manifest_content,
+    read_manifest,
+    read_wrapper,
+    sign,
+    wrapper_content,
+)
+from companion.remote_id.drip.hashes import message_hash
+from companion.remote_id.drip.link import decode_link, endorse
 from companion.remote_id.mavlink import READABLE, decode_odid, encode_message_pack, encode_odid
 from companion.traffic.tracks import Traffic
 from tests.fuzz import radio_targets
@@ -67,7 +81,8 @@ UTC_S = 1_750_000_000.0
 SIGNER = "1596B0000DMUCA01"
 PRIVATE_KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
 PUBLIC_KEY = PRIVATE_KEY.public_key().public_bytes_raw().hex()
-REMEMBERED = 60_000
+REMEMBERED = 90_000
+DET = make_det(bytes.fromhex(PUBLIC_KEY), 16376, 10)
 """Items and characters that the tracks may hold in all; they settle at half of it."""
 
 # ---------------------------------------------------------------- readers without a memory
@@ -139,7 +154,8 @@ class _Hearing:
 
     def __init__(self) -> None:
         self.receiver = FrameReceiver()
-        self.traffic = Traffic(TrafficConfig(max_tracks=MAX_TRACKS, keys={SIGNER: PUBLIC_KEY}), "OWN")
+        keys, anchors = {SIGNER: PUBLIC_KEY}, {str(DET): PUBLIC_KEY}
+        self.traffic = Traffic(TrafficConfig(max_tracks=MAX_TRACKS, keys=keys, anchors=anchors), "OWN")
         self.frame = LocalFrame(47.5, 8.5, 450.0)
         self.now_s = 0.0
         self.traffic.note_own(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -167,8 +183,53 @@ class _Hearing:
 
 @cache
 def _signed(transport: str) -> list[bytes]:
-    pages = sign_pages(PRIVATE_KEY, 1, SIGNER, (), UTC_S)
-    return FrameSender(ADDRESS).frames(transport, (*MESSAGES[:2], *pages))
+    return [
+        frame
+        for data in _drip_seeds()
+        for frame in FrameSender(ADDRESS).frames(
+            transport, (*MESSAGES[:2], *split(AuthenticationData(5, UTC_S, data))[:7])
+        )
+    ]
+
+
+@cache
+def _drip_seeds() -> list[bytes]:
+    """A Link, a Manifest and a Wrapper, dated for the whole run."""
+    begin, end = int(UTC_S), int(UTC_S) + 100_000_000
+    messages = [codec.encode(message) for message in MESSAGES[:2]]
+    manifest = manifest_content(NO_HASH, NO_HASH, list(map(message_hash, messages)))
+    return [
+        endorse(PRIVATE_KEY, DET, DET, bytes.fromhex(PUBLIC_KEY), begin, end).link(),
+        sign(PRIVATE_KEY, DET, MANIFEST, manifest, begin, end).encode(),
+        sign(PRIVATE_KEY, DET, WRAPPER, wrapper_content(messages), begin, end).encode(),
+    ]
+
+
+def _read_evidence(data: bytes) -> None:
+    evidence = decode_evidence(data)
+    assert evidence.encode() == data
+    (read_manifest if evidence.sam_type == MANIFEST else read_wrapper)(evidence.content)
+
+
+def _read_link(data: bytes) -> None:
+    link = decode_link(data)
+    assert link.link() == data
+    assert det_of(link.child.identity) == link.child
+
+
+def _drip_hearing() -> Target:
+    """Damaged DRIP data in sound pages, from an aircraft that is heard."""
+    hearing = _Hearing()
+
+    def feed(data: bytes) -> bool:
+        pages = split(AuthenticationData(5, UTC_S, data[:201]))
+        before = sum(hearing.traffic.signatures.counts.values()) if hearing.traffic.signatures else 0
+        hearing.take(RemoteIdHeard(transport="wifi", address=ADDRESS, messages=(*MESSAGES[:2], *pages)))
+        return hearing.traffic.signatures is not None and (
+            sum(hearing.traffic.signatures.counts.values()) > before
+        )
+
+    return Target("drip heard", _drip_seeds(), feed, hearing.check)
 
 
 def _hearing(transport: str) -> Target:
@@ -357,6 +418,10 @@ def make_targets() -> list[Target]:
         _decoder(),
         Target("adsb", _adsb_seeds(), taking(_read_adsb, ConfigError)),
         Target("fence items", _fence_seeds(), taking(_read_fence)),
+        Target("drip evidence", _drip_seeds(), taking(_read_evidence)),
+        Target("drip link", _drip_seeds(), taking(_read_link)),
+        Target("drip entity tag", [DET.data], taking(Det)),
+        _drip_hearing(),
         _link(),
         _signed_link(),
         *radio_targets.make_targets(),

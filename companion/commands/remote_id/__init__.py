@@ -1,4 +1,5 @@
-"""`companion remote-id encode|decode|check`: encode and decode messages, read captures, check conformance.
+"""`companion remote-id encode|decode|check|key|endorse`: encode and decode messages, read captures, check
+conformance, make keys.
 
 Exit status: 0 if everything was correct; 1 if a line, a frame or a vector was not, if a capture ends inside a
 frame, or if there was nothing to do; 2 if the request or a file is wrong.
@@ -12,6 +13,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from companion.commands.drip_keys import run_endorse, run_key
 from companion.commands.remote_id.decode import run_decode
 from companion.commands.remote_id.encode import OWN_ADDRESS, run_encode
 from companion.commands.remote_id.message_json import EXAMPLES
@@ -48,10 +50,27 @@ examples:
 _CHECK_HELP: Final = """example:
   companion remote-id check vectors.json
 """
+_KEY_HELP: Final = """\
+A new key is written to a file that only you can read; a file that exists is never overwritten. RAA and HDA
+name the registry. Numbers of RAA from 15360 on are for private use.
+
+examples:
+  companion remote-id key drip.pem --raa 16376 --hda 10
+  companion remote-id key drip.pem --raa 16376 --hda 10 --show
+"""
+_ENDORSE_HELP: Final = """\
+FILE holds the private key of the registry, whose RAA and HDA are given. The endorsement is printed as
+hexadecimal digits, for a file that remote_id.signing.links names.
+
+example:
+  companion remote-id endorse hda.pem --raa 16376 --hda 10 --days 30 \\
+    --child 2001:3f:fe00:a05:1308:2469:9a4b:c6b2 \\
+    --child-key c92e2f9d97e8960f9b5f1654f8b09039f9dadc5bcf061eac4f0cea79e8e877fa > own.link
+"""
 
 
 def add_arguments(subparsers: Subparsers) -> None:
-    """Add `encode`, `decode` and `check` to the subparsers of `remote-id`; each calls `run`."""
+    """Add the actions of this package to the subparsers of `remote-id`; each calls `run`."""
 
     def action(name: str, text: str, more: str) -> argparse.ArgumentParser:
         parser = subparsers.add_parser(
@@ -99,13 +118,38 @@ def add_arguments(subparsers: Subparsers) -> None:
         "vectors", type=Path, metavar="VECTORS.json", help="JSON file, or gzip with the suffix .gz"
     )
 
+    make = action(
+        "key", "Make a key for signatures, and print its DRIP entity tag and public key.", _KEY_HELP
+    )
+    _add_key(make)
+    make.add_argument("--show", action="store_true", help="make nothing; show the key that the file holds")
+    sign = action("endorse", "Endorse the key of an aircraft with that of its registry.", _ENDORSE_HELP)
+    _add_key(sign)
+    sign.add_argument("--child", required=True, metavar="DET", help="its DRIP entity tag, an IPv6 address")
+    sign.add_argument(
+        "--child-key", required=True, metavar="KEY", help="its public key: 64 hex digits, or a PEM file"
+    )
+    sign.add_argument("--days", type=int, default=30, help="how long it is valid from now (default: 30)")
+
+
+def _add_key(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, metavar="FILE", help="PEM file of the private key")
+    parser.add_argument("--raa", type=int, required=True, help="Registered Assigning Authority, 0 to 16383")
+    parser.add_argument("--hda", type=int, required=True, help="HHIT Domain Authority, 0 to 16383")
+
 
 def run(args: argparse.Namespace) -> int:
     """Run the parsed action on stdin and stdout; errors go to stderr. Returns the exit status."""
     if isinstance(sys.stdin, io.TextIOWrapper):
         # JSON is UTF-8 in every locale. Undecodable bytes must be an error of their own line only.
         sys.stdin.reconfigure(encoding="utf-8", errors="replace")
-    actions = {"encode": run_encode, "decode": run_decode, "check": _check}
+    actions = {
+        "encode": run_encode,
+        "decode": run_decode,
+        "check": _check,
+        "key": run_key,
+        "endorse": run_endorse,
+    }
     try:
         return actions[args.action](args)
     except ConfigError as error:

@@ -1,4 +1,4 @@
-"""Pages of authentication put together, and signatures in them."""
+"""Pages of authentication put together, and keys."""
 
 from __future__ import annotations
 
@@ -13,26 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.errors import ConfigError, PeerDataError
-from companion.remote_id.authentication import (
-    MESSAGE_SET_SIGNATURE,
-    UAS_ID_SIGNATURE,
-    Assembler,
-    AuthenticationData,
-    Verifier,
-    public_key_hex,
-    sign_pages,
-    signed_bytes,
-    split,
-)
-from companion.remote_id.codec import decode, decode_pack, encode, encode_pack
-from companion.remote_id.messages import Authentication, BasicId, IdType, Location, OperatorId, UaType
+from companion.remote_id.authentication import Assembler, AuthenticationData, split
+from companion.remote_id.codec import decode, encode
+from companion.remote_id.drip.keys import public_key_hex
+from companion.remote_id.messages import Authentication
 
 UTC_S = 1_767_225_600.0
 KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
 PUBLIC_HEX = KEY.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw).hex()
-BASIC = BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.AEROPLANE, uas_id="1596F0000DMUCA01")
-LOCATION = Location(lat_deg=47.3971234, lon_deg=8.5451234, speed_mps=4.25, timestamp_s=12.3)
-MESSAGES = (BASIC, LOCATION, OperatorId(operator_id_type=0, operator_id="CHE87astrdge12k8"))
 
 
 def content(size, seed=0):
@@ -45,7 +33,7 @@ def pages_of(size=64, seed=0, auth_type=1, timestamp_utc_s=UTC_S):
 
 def assembled(assembler, pages, now_s=0.0, source="s"):
     """What the assembler gave, page by page, without the Nones."""
-    return [data for page in pages if (data := assembler.add_page(source, page, now_s)) is not None]
+    return [data for page in pages if (data := assembler.add_page(source, page, now_s, 0)) is not None]
 
 
 @pytest.mark.parametrize(
@@ -150,108 +138,74 @@ def test_what_is_encoded_anew_is_what_was_sent(body, kind, version):
     assert encode(decode(sent)) == sent
 
 
-@pytest.mark.parametrize("auth_type", [UAS_ID_SIGNATURE, MESSAGE_SET_SIGNATURE])
-def test_a_signature_over_the_air(auth_type):
-    pages = sign_pages(KEY, auth_type, BASIC.uas_id, MESSAGES, UTC_S + 0.4)
-    assert len(pages) == 4
-    heard = decode_pack(encode_pack((*MESSAGES, *pages)))
-    (data,) = assembled(Assembler(), [m for m in heard if isinstance(m, Authentication)])
-    assert data.timestamp_utc_s == UTC_S
-    assert len(data.data) == 64
-    verifier = Verifier({BASIC.uas_id: PUBLIC_HEX})
-    assert verifier.verify(BASIC.uas_id, data, heard)
-    assert verifier.judge(BASIC.uas_id, data, heard, UTC_S + 2.0, -1.0, 0.0) is True
+# ---------------------------------------------------------------- lost pages
 
 
-def signed(auth_type=MESSAGE_SET_SIGNATURE, messages=MESSAGES, identity=BASIC.uas_id, key=KEY):
-    pages = sign_pages(key, auth_type, identity, messages, UTC_S)
-    (data,) = assembled(Assembler(), pages)
-    return data, (*messages, *pages)
-
-
-def test_what_the_signatures_cover():
-    stamp = (int(UTC_S) - 1_546_300_800).to_bytes(4, "little")
-    name = b"1596F0000DMUCA01".ljust(20, b"\0")
-    assert signed_bytes(1, BASIC.uas_id, (), UTC_S) == name + stamp == encode(BASIC)[2:22] + stamp
-    whole = b"".join(map(encode, MESSAGES)) + stamp
-    assert signed_bytes(3, BASIC.uas_id, (*MESSAGES, *pages_of()), UTC_S) == whole
+def parity_pages(size, seed=0):
+    return split(AuthenticationData(5, UTC_S, content(size, seed)), parity=True)
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("size", "count"),
+    [(0, 2), (16, 2), (17, 3), (39, 3), (40, 4), (89, 6), (137, 8), (177, 9), (200, 10), (201, 11)],
+)
+def test_pages_with_parity(size, count):
+    """The counts of RFC 9575 appendix B.1 are among these."""
+    pages = parity_pages(size)
+    assert len(pages) == count
+    heard = [decode(encode(page)) for page in pages]
+    whole = AuthenticationData(5, UTC_S, content(size))
+    for lost in range(1, count):
+        left = [page for k, page in enumerate(heard) if k != lost]
+        assert [d.data for d in assembled(Assembler(), left)] == [whole.data]
+    assert [d.data for d in assembled(Assembler(), heard)] == [whole.data]
+
+
+def test_two_lost_pages_are_too_many():
+    heard = parity_pages(137)
+    for first in range(1, 7):
+        left = [page for k, page in enumerate(heard) if k not in (first, first + 1)]
+        assert not assembled(Assembler(), left)
+
+
+def test_a_lost_page_without_parity_is_missed():
+    assembler = Assembler()
+    first, second = pages_of(137, 1), pages_of(137, 2, timestamp_utc_s=UTC_S + 1)
+    assert not assembled(assembler, [page for k, page in enumerate(first) if k != 3])
+    assert not assembler.gave_up
+    assembler.add_page("s", second[0], 0.0)
+    assert assembler.gave_up
+    assert assembled(assembler, second[1:])
+    assembler.add_page("s", first[0], 0.0)
+    assert not assembler.gave_up, "the set before was whole"
+
+
+@pytest.mark.parametrize(
+    ("counters", "consistent"),
     [
-        lambda d, m: (AuthenticationData(d.auth_type, d.timestamp_utc_s + 1.0, d.data), m),
-        lambda d, m: (AuthenticationData(d.auth_type, d.timestamp_utc_s, d.data[:-1] + b"\0"), m),
-        lambda d, m: (AuthenticationData(d.auth_type, d.timestamp_utc_s, d.data[:63]), m),
-        lambda d, m: (AuthenticationData(d.auth_type, d.timestamp_utc_s, b""), m),
-        lambda d, m: (d, (BASIC, Location(lat_deg=47.5, lon_deg=8.5), *m[2:])),
-        lambda d, m: (d, m[1:]),
-        lambda d, m: (d, (m[1], m[0], *m[2:])),
+        (range(4), True),
+        ([254, 255, 0, 1], True),
+        ([7] * 4, True),
+        ([0, 1, 12, 13], False),
+        ([None] * 4, False),
+        ([0, None, 2, 3], False),
     ],
 )
-def test_a_message_set_that_was_changed_fails(change):
-    data, heard = signed()
-    verifier = Verifier({BASIC.uas_id: PUBLIC_HEX})
-    assert verifier.verify(BASIC.uas_id, data, heard)
-    changed, messages = change(data, heard)
-    assert not verifier.verify(BASIC.uas_id, changed, messages)
-    assert verifier.judge(BASIC.uas_id, changed, messages, UTC_S, -1.0, 0.0) is False
+def test_counters_tell_whether_pages_belong_together(counters, consistent):
+    assembler = Assembler()
+    found = [assembler.add_page("s", p, 0.0, c) for p, c in zip(pages_of(), counters, strict=True)]
+    assert found[-1] == AuthenticationData(1, UTC_S, content(64), consistent)
 
 
-def test_anothers_key_or_identity_fails():
-    other = Ed25519PrivateKey.from_private_bytes(bytes(32))
-    verifier = Verifier({BASIC.uas_id: PUBLIC_HEX, "OTHER": PUBLIC_HEX})
-    data, heard = signed(UAS_ID_SIGNATURE, key=other)
-    assert not verifier.verify(BASIC.uas_id, data, heard)
-    data, heard = signed(UAS_ID_SIGNATURE)
-    assert verifier.verify(BASIC.uas_id, data, heard)
-    assert not verifier.verify("OTHER", data, heard)
-
-
-@pytest.mark.parametrize(
-    ("utc_s", "not_before_s", "verdict"),
-    [
-        (UTC_S + 9.9, 0.0, True),
-        (UTC_S + 10.1, 0.0, False),
-        (UTC_S - 10.1, 0.0, False),
-        (UTC_S, UTC_S, True),
-        (UTC_S, UTC_S + 1.0, False),
-        (None, 0.0, None),
-    ],
-)
-def test_freshness_and_replay(utc_s, not_before_s, verdict):
-    data, heard = signed()
-    verifier = Verifier({BASIC.uas_id: PUBLIC_HEX}, fresh_s=10.0)
-    assert verifier.judge(BASIC.uas_id, data, heard, utc_s, not_before_s, 0.0) is verdict
-
-
-def test_what_cannot_be_judged_is_not_called_false():
-    data, heard = signed()
-    verifier = Verifier({BASIC.uas_id: PUBLIC_HEX})
-    assert verifier.judge("STRANGER", data, heard, UTC_S, 0.0, 0.0) is None
-    pages = tuple(m for m in heard if isinstance(m, Authentication))
-    assert verifier.judge(BASIC.uas_id, data, pages, UTC_S, 0.0, 0.0) is None, "BLE 4: a page is a frame"
-    for foreign in (0, 2, 4, 5, 10, 15):
-        other = AuthenticationData(foreign, UTC_S, data.data)
-        assert verifier.judge(BASIC.uas_id, other, heard, UTC_S, 0.0, 0.0) is None
-
-
-def test_no_more_signatures_are_checked_than_the_processor_can_spare():
-    data, heard = signed()
-    verifier = Verifier({BASIC.uas_id: PUBLIC_HEX})
-    verdicts = [verifier.judge(BASIC.uas_id, data, heard, UTC_S, 0.0, k * 0.001) for k in range(1000)]
-    assert 20 <= verdicts.count(True) <= 41
-    assert verdicts.count(False) == 0
-    assert verifier.judge(BASIC.uas_id, data, heard, UTC_S, 0.0, 2.0) is True
-
-
-@pytest.mark.parametrize(
-    ("auth_type", "identity", "messages"),
-    [(2, "A", MESSAGES), (5, "A", MESSAGES), (1, "", ()), (1, "A" * 21, ()), (1, "☃", ()), (3, "A", ())],
-)
-def test_what_is_not_signed_is_refused(auth_type, identity, messages):
-    with pytest.raises(ValueError):
-        sign_pages(KEY, auth_type, identity, messages, UTC_S)
+def test_a_flood_of_strangers_does_not_end_a_vouched_set():
+    assembler = Assembler(max_sets=20)
+    pages = pages_of()
+    for page in pages[:-1]:
+        assembler.add_page("known", page, 0.0, vouched=True)
+    for k in range(1000):
+        assembler.add_page(f"stranger {k}", pages[0], 0.001 * k)
+    assert len(assembler) == 21
+    assert assembler.add_page("known", pages[-1], 1.0, vouched=True) is not None
 
 
 # ---------------------------------------------------------------- keys
@@ -273,45 +227,3 @@ def test_bad_keys_are_named(tmp_path):
             public_key_hex(text, tmp_path)
     with pytest.raises(ConfigError, match="an Ed25519 public key is needed"):
         public_key_hex("rsa.pem", tmp_path)
-    with pytest.raises(ConfigError, match=r"traffic\.keys.\"A\": 'a\.pem'"):
-        Verifier({"A": "a.pem"})
-    with pytest.raises(ConfigError, match="1 to 20 Latin-1 characters"):
-        Verifier({"A" * 21: PUBLIC_HEX})
-
-
-def test_twenty_signatures_a_second_are_checked_after_twenty_at_once():
-    data, heard = signed()
-    verifier = Verifier({BASIC.uas_id: PUBLIC_HEX})
-
-    def checked(now_s, count):
-        verdicts = [verifier.judge(BASIC.uas_id, data, heard, UTC_S, 0.0, now_s) for _ in range(count)]
-        return verdicts.count(True)
-
-    assert checked(100.0, 25) == 20
-    assert checked(100.26, 25) == 5
-    assert checked(90.0, 25) == 0, "a clock that goes back gives nothing"
-    assert checked(900.0, 25) == 20, "a long pause gives no more than twenty"
-
-
-@pytest.mark.parametrize(("gap_s", "complete"), [(14.9, True), (15.1, False)])
-def test_each_page_keeps_a_set_for_fifteen_seconds(gap_s, complete):
-    assembler = Assembler()
-    given = [assembler.add_page("s", page, gap_s * k) for k, page in enumerate(pages_of())]
-    assert (given[-1] is not None) is complete
-
-
-def test_the_set_that_waited_longest_gives_way():
-    assembler = Assembler(max_sets=2)
-    for source, page in (("a", 0), ("b", 0), ("a", 1), ("c", 0)):
-        assembler.add_page(source, pages_of()[page], 0.0)
-    assert len(assembler) == 2
-    # Page 0 (17 bytes) and page 1 (23 bytes) of "a", page 0 of "c".
-    assert assembler.held_bytes() == 17 + 23 + 17
-    assert len(assembled(assembler, pages_of()[2:], source="a")) == 1
-
-
-def test_a_message_set_needs_all_its_pages_in_one_frame():
-    data, heard = signed()
-    verifier = Verifier({BASIC.uas_id: PUBLIC_HEX})
-    assert verifier.judge(BASIC.uas_id, data, heard, UTC_S, 0.0, 0.0) is True
-    assert verifier.judge(BASIC.uas_id, data, heard[:-1], UTC_S, 0.0, 0.0) is None
