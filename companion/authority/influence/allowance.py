@@ -10,15 +10,16 @@ Rules, each against one way around the others:
 - A track has `track_s`, of which it may be inside its volume around the aircraft for `inside_s`: an honest
   aircraft that is avoided does not stay there. Its memory outlives the track, so that silence renews nothing,
   and a track that is first heard inside its volume takes over what the last ones there have used.
-- A track that has been inside for `PRESSES_S` yields to others: while any other is in conflict, it is left
-  out. Between both there may be no way out, and the law would divide the violation between them.
+- A track that has been inside for `PRESSES_S` yields to others: while any other is near or in conflict, it is
+  left out. Between both there may be no way out, and the law would divide the violation between them.
 - Tracks of one group have `group_s` together. Once that is spent, each of them has a quarter of `track_s`: a
   fake cannot spend the allowance of an honest aircraft by sounding like it.
 - All of them have `total_s` for the time in which the aircraft is held, the way back included. The last
   quarter of it is kept for tracks that were heard before and have used up to a quarter of `track_s`: new
   identities cannot spend it.
 - A track that stands still may block, but it cannot drive the aircraft anywhere. It is never flown into:
-  where the total is spent and such a track is in the way, the vehicle is asked to hold.
+  where the total is spent and such a track is in the way, the vehicle is asked to hold. A track that has
+  pressed the aircraft along does not count as one that stands.
 - Crewed traffic has a total of its own, and no allowance for each track: nobody flies into a helicopter
   because it stayed.
 - Proven tracks are neither charged nor left out.
@@ -50,7 +51,8 @@ STANDS_M, STANDS_S = 15.0, 30.0
 PRESSES_S = 30.0
 """A track presses if it has been inside its volume for this long. Time outside counts half against it."""
 _SQUEEZED_S = 3.0
-"""A track that presses is left out until no other has been in conflict for this long."""
+"""A track that presses is left out until no other has been near, or in conflict, for this long."""
+_NEAR_M = 300.0
 _NEW_S, _HEIR_S = 2.0, 15.0
 """A track is new for `_NEW_S`. It takes over what tracks have used that were heard within `_HEIR_S`."""
 _MOST = 1000
@@ -96,6 +98,8 @@ class _Known:
     pressed_s: float = 0.0
     entered: bool = False
     """It has been inside its volume."""
+    chases: bool = False
+    """It has moved while it pressed. If it stands later, it is because the aircraft stands."""
 
     @property
     def spent(self) -> bool:
@@ -111,14 +115,16 @@ class _Known:
             self.used.used_s = max(self.used.used_s, other.used.used_s)
             self.inside.used_s = max(self.inside.used_s, other.inside.used_s)
             self.pressed_s = max(self.pressed_s, other.pressed_s)
+            self.chases = self.chases or other.chases
 
     def see(self, now_s: float, position: Vec3) -> None:
         self.heard_s = now_s
         if math.dist(self.anchor, position) > STANDS_M:
             self.anchor, self.anchor_s = position, now_s
+            self.chases = self.chases or self.presses
 
     def stands(self, now_s: float) -> bool:
-        return now_s - self.anchor_s >= STANDS_S
+        return not self.chases and now_s - self.anchor_s >= STANDS_S
 
 
 class Allowances:
@@ -217,7 +223,7 @@ class Allowances:
         self._charge_tracks(now_s, passed_s, [other for other in acting if not other.crewed], inside)
         counts = held and (self._guards or not back)
         self._charge_totals(now_s, passed_s if counts else 0.0)
-        self._squeeze(now_s, result)
+        self._squeeze(now_s, here, result)
         blocking = {key for key, view in views if view.conflict}
         self.hold = self._why_hold(
             [other for other in acting if _key(other) in blocking and self._counts(now_s, other)]
@@ -233,16 +239,21 @@ class Allowances:
                 )
             known.entered = True
 
-    def _squeeze(self, now_s: float, result: LawResult) -> None:
-        """Note whether tracks that press are to be left out: they keep the aircraft from avoiding others."""
-        keys = [(view.adsb, view.track_id) for view in result.tracks if view.conflict]
-        pressing = [k for k in keys if (t := self._tracks.get(k)) and t.presses and not t.stands(now_s)]
-        others = [key for key in keys if key not in pressing]
+    def _squeeze(self, now_s: float, here: Vec3, result: LawResult) -> None:
+        """Note whether tracks that press are to be left out, because another track is near or in conflict."""
+        found = {(view.adsb, view.track_id): view for view in result.tracks}
+        pressing = [k for k in found if (t := self._tracks.get(k)) and t.presses and not t.stands(now_s)]
+        others = [
+            key
+            for key, view in found.items()
+            if key not in pressing
+            and (view.conflict or view.active or math.dist(view.position_ned_m, here) < _NEAR_M)
+        ]
         going_on = now_s - self._squeezed_s < _SQUEEZED_S
         if others and (going_on or pressing):
             self._squeezed_s = now_s
         if others and pressing and not going_on:
-            text = f"{', '.join(name for _, name in pressing)} left out to avoid {others[0][1]}"
+            text = f"{', '.join(name for _, name in pressing)} left out, as {others[0][1]} is near"
             self._told.append(AllowanceSpent(scope="squeeze", track_id=others[0][1], text=text))
 
     def _charge_tracks(
