@@ -164,6 +164,12 @@ def crewed_reach_m(config: Config) -> tuple[float, float]:
     return side_m, above_m
 
 
+def extent(places: Sequence[Vec3], config: Config) -> tuple[tuple[float, float], tuple[float, float]]:
+    """From south to north and from west to east: the ends (m) of the area around some places (NED, m)."""
+    walls = k.Wall(*_around([place[:2] for place in places], config.containment.side_m).T)
+    return (float(walls.n.min()), float(walls.n.max())), (float(walls.e.min()), float(walls.e.max()))
+
+
 def _around(places: Sequence[_Place], side_m: float) -> Floats:
     """Walls of an inclusion area around all places: no point of it is farther than `side_m` from their convex
     hull."""

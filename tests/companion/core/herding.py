@@ -114,6 +114,8 @@ def herded(use="guard", firmware=Firmware.PX4, containment=None, limits=None, le
         limits=limits or LimitsConfig(),
     )
     bench = Herded(Companion(made), firmware=firmware, mission=mission(length_m))
+    if use == "fly" and firmware is Firmware.ARDUPILOT:
+        bench.mode = FlightMode.EXTERNAL
     if use == "guard":
         bench.mode = FlightMode.MISSION
         bench.extra.append(MissionCurrent(seq=0))
