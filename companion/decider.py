@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from companion.authority.course import Course
+from companion.authority.influence.allowance import Allowances
+from companion.authority.influence.containment import Containment
 from companion.authority.table import HOLDING, State
 from companion.avoidance.alerts import Alerts
 from companion.avoidance.law import LawResult, Neighbour, Situation
@@ -31,13 +34,17 @@ class Decider:
         self, config: Config, own: Ownship, course: Course, traffic: Traffic, adsb: AdsbTraffic
     ) -> None:
         self.alerts = Alerts(config.avoidance)
+        self.allowances = Allowances(config)
+        self._containment = Containment(config, own, course)
         self._config = config
         self._own = own
         self._course = course
         self._traffic = traffic
         self._adsb = adsb
         self._neighbours: list[Neighbour] = []
-        """Neighbours as passed to the law."""
+        """All neighbours. The law is given those that their allowances admit."""
+        self._heights_m: tuple[float, float] | None = None
+        """Floor and ceiling of the containment; None: the vehicle is not held."""
         self._decided_s = self._logged_s = -math.inf
         self._told_late_s: float | None = None
         """Delay of the path when it was last reported or when the vehicle was taken; None: not controlled."""
@@ -46,6 +53,13 @@ class Decider:
         """Use another configuration from now on."""
         self._config = config
         self.alerts.configure(config.avoidance)
+        self.allowances.configure(config)
+        self._containment.configure(config)
+
+    @property
+    def hold(self) -> str | None:
+        """Why the vehicle is to be asked to hold after the decision just made, in words; None: it is not."""
+        return self.allowances.hold
 
     def due(self, now_s: float) -> bool:
         """Whether the law's period since the last cycle is over."""
@@ -58,14 +72,26 @@ class Decider:
         self._decided_s = now_s
         if state in HOLDING and self._told_late_s is None:
             self._told_late_s = self._course.late_s
+        held = state in HOLDING
+        self._heights_m = self._containment.keep(now_s) if held else None
         self._neighbours = self._heard(now_s)
-        return law.decide(self._situation(now_s))
+        admitted = self.allowances.admitted(now_s, self._neighbours)
+        situation = self._situation(now_s, admitted)
+        result = law.decide(situation)
+        here, back = situation.position_ned_m, state is State.GUARDING
+        self.allowances.charge(now_s, here, result, admitted, held=held, back=back)
+        crewed = {(other.adsb, other.track_id) for other in admitted if other.crewed}
+        conflicts = any(view.conflict and (view.adsb, view.track_id) in crewed for view in result.tracks)
+        self._containment.note_conflict(now_s, crewed=conflicts)
+        return result
 
     def note(self, now_s: float, result: LawResult, state: State) -> list[Command]:
         """Alerts, messages and log entries about the decision just made."""
+        told = self.allowances.told()
         if state not in HOLDING:
-            return self._alert(now_s, None) + self._log(now_s, result, state)
-        return self._alert(now_s, result) + self._tell_late(result) + self._log(now_s, result, state)
+            return told + self._alert(now_s, None) + self._log(now_s, result, state)
+        told += self._alert(now_s, result) + self._tell_late(result)
+        return told + self._log(now_s, result, state)
 
     def look(self, now_s: float) -> list[Command]:
         """Run a cycle that only judges alerts, while the law does not decide."""
@@ -74,24 +100,29 @@ class Decider:
         return self._alert(now_s, None)
 
     def let_go(self) -> None:
-        """Note that we do not control the vehicle, so that path delays are counted from the next takeover."""
+        """Note that we do not control the vehicle: path delays count from the next takeover, and nothing
+        contains it."""
         self._told_late_s = None
+        self._containment.let_go()
 
     def _heard(self, now_s: float) -> list[Neighbour]:
         down_m = self._own.position_ned_m(now_s)[2]
         return self._traffic.neighbours(now_s) + self._adsb.neighbours(now_s, down_m)
 
-    def _situation(self, now_s: float) -> Situation:
+    def _situation(self, now_s: float, neighbours: Sequence[Neighbour]) -> Situation:
         own, limits, course = self._own, self._config.limits, self._course
+        floor_m, ceiling_m = course.floor_height_m(limits), limits.ceiling_height_m
+        if self._heights_m is not None:
+            floor_m, ceiling_m = self._heights_m
         return Situation(
             now_s=now_s,
             path_time_s=course.path_time_s(now_s),
             position_ned_m=own.position_ned_m(now_s),
             velocity_ned_mps=own.velocity_ned_mps,
             sigma_m=own.sigma_m,
-            neighbours=self._neighbours,
-            floor_down_m=course.boundary_down_m(course.floor_height_m(limits), own, now_s),
-            ceiling_down_m=course.boundary_down_m(limits.ceiling_height_m, own, now_s),
+            neighbours=neighbours,
+            floor_down_m=course.boundary_down_m(floor_m, own, now_s),
+            ceiling_down_m=course.boundary_down_m(ceiling_m, own, now_s),
         )
 
     def _alert(self, now_s: float, result: LawResult | None) -> list[Command]:

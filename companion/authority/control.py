@@ -52,7 +52,9 @@ _SURE = 3
 _KEPT_OFF_S = 60.0
 """If a floor, a ceiling, a fence or the wind keeps a guarded vehicle off its path for this long without a
 conflict, it is handed back where it is."""
-_TOLD_LOUDLY = frozenset({Trigger.PILOT, Trigger.UNFIT, Trigger.CHANGED})
+_TOLD_LOUDLY = frozenset({Trigger.PILOT, Trigger.UNFIT, Trigger.CHANGED, Trigger.SPENT})
+_HOLDS = frozenset({Trigger.CHANGED, Trigger.SPENT})
+"""Transitions at which the vehicle is asked to hold."""
 _TOLD = _TOLD_LOUDLY | {Trigger.READY, Trigger.RELEASE, Trigger.WATCH, Trigger.RESUMED, Trigger.ENDED}
 """Transitions that are reported to the pilot, in addition to every transition out of `State.WATCHING`."""
 _LATE_S = 0.25
@@ -198,7 +200,8 @@ class Control:
     def _fly(self, now_s: float, cycle: Cycle, commands: list[Command]) -> Vec3 | None:
         """Command the law's latest decision, and ask for our mode once setpoints stream.
 
-        Returns None if the vehicle was released because its mission cannot be resumed.
+        Returns None if the vehicle was released: its mission cannot be resumed, or traffic has held it for as
+        long as it may.
         """
         commands += self._give_back(now_s)
         if self.state not in HOLDING:
@@ -206,6 +209,8 @@ class Control:
         result = self._result
         if result is None or cycle.due(now_s):
             self._result = result = self._steer(now_s, cycle, commands)
+            if self.state not in HOLDING:
+                return None
         self._commanded_s = now_s
         commands += self._modes.keep(now_s)
         if self._modes.confirmed:
@@ -231,7 +236,11 @@ class Control:
             self._handback.note_way(now_s)
         if result.conflict:
             self._conflict_s = now_s
-        commands += self._move(now_s, dict.fromkeys(self._law_triggers(now_s, result)), result=result)
+        triggers = self._law_triggers(now_s, result)
+        if cycle.hold is not None and self._modes.confirmed:
+            self._refused.traffic = cycle.hold
+            triggers |= {Trigger.SPENT}
+        commands += self._move(now_s, dict.fromkeys(triggers), result=result)
         commands += cycle.note(now_s, result, self.state)
         return result
 
@@ -372,7 +381,7 @@ class Control:
             commands.append(SetMode(mode=FlightMode.STICKS))
         if held:
             commands += self._let_go(trigger)
-        holds = trigger is Trigger.CHANGED or (trigger is Trigger.UNFIT and not self._readiness.enabled)
+        holds = trigger in _HOLDS or (trigger is Trigger.UNFIT and not self._readiness.enabled)
         if held and (holds or sticks):
             # Command a standstill while we wait for the mode: without setpoints, PX4's failsafe would act
             # before the next heartbeat.
@@ -391,7 +400,7 @@ class Control:
         """
         heartbeat = self._own.heartbeat
         self._modes.left_in = frozenset()
-        if trigger is Trigger.CHANGED:
+        if trigger in _HOLDS:
             return [SetMode(mode=FlightMode.HOLD)]
         if trigger is not Trigger.UNFIT:
             return []

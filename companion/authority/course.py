@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+
+import numpy as np
 
 from companion.avoidance.law import Law
 from companion.config import LimitsConfig
@@ -14,6 +17,8 @@ LEAST_HEIGHT_M = 15.0
 the path's lowest point."""
 LEAST_LAYER_M = 5.0
 """Least height between floor and ceiling. The check of the configuration requires the same."""
+LEG_S = 30.0
+"""The present leg is the path from this long before the path's time to this long after it."""
 
 
 class Course:
@@ -27,6 +32,12 @@ class Course:
         self.start_s: float | None = None
         """Monotonic time of the path's time 0; None if the path's clock has not started."""
         self.home_alt_msl_m = 0.0
+        self.places: tuple[Vec3, ...] = ()
+        """Places of the whole mission or path (local NED, m); none: not known."""
+        self.heights_m: tuple[float, ...] = ()
+        """Heights of those places above home."""
+        self.profile: tuple[tuple[float, float], ...] = ()
+        """Path that is flown, as time on the path's clock and height above home of each of its points."""
 
     def begin(self, law: Law, home_alt_msl_m: float, start_s: float | None) -> None:
         """Begin a flight. The home altitude stays fixed, even if the autopilot corrects it later.
@@ -35,6 +46,13 @@ class Course:
             start_s: monotonic time of the path's time 0; None to start the clock with `engage`.
         """
         self.law, self.home_alt_msl_m, self.start_s = law, home_alt_msl_m, start_s
+        self.places, self.heights_m, self.profile = (), (), ()
+
+    def lead(
+        self, places: Sequence[Vec3], heights_m: Sequence[float], profile: Sequence[tuple[float, float]]
+    ) -> None:
+        """Take in where the flight leads. The arguments are the attributes of those names."""
+        self.places, self.heights_m, self.profile = tuple(places), tuple(heights_m), tuple(profile)
 
     def end(self) -> None:
         """End the flight."""
@@ -63,6 +81,16 @@ class Course:
     def distance_m(self, own: Ownship, now_s: float) -> float:
         """Distance of the aircraft from the path's point at `now_s`. Needs a law."""
         return math.dist(self.point(now_s), own.position_ned_m(now_s))
+
+    def leg_heights_m(self, now_s: float) -> tuple[float, float] | None:
+        """Least and greatest height above home of the present leg; None if it is not known. Needs a law."""
+        if not self.profile:
+            return None
+        times, heights = zip(*self.profile, strict=True)
+        now = self.path_time_s(now_s) - self.late_s
+        ends = np.interp((now - LEG_S, now + LEG_S), times, heights).tolist()
+        within = [h for t, h in self.profile if abs(t - now) < LEG_S]
+        return min(*ends, *within), max(*ends, *within)
 
     def floor_height_m(self, limits: LimitsConfig) -> float:
         """Height of the floor above home: the configured one, else the default.

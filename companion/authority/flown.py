@@ -172,7 +172,10 @@ class FlownPlan:
         self._flown = self.downloads.items
         law = new_law(self.terms.config.avoidance, self.terms.limits, trajectory, walls)
         self.course.begin(law, home, start_s)
-        self.course.lowest_height_m = min(w.alt_m + above_msl - home for w in path.waypoint)
+        heights_m = [w.alt_m + above_msl - home for w in path.waypoint]
+        self.course.lowest_height_m = min(heights_m)
+        profile = zip(trajectory.times_s, heights_m, strict=True)
+        self.course.lead(trajectory.points_ned_m, heights_m, tuple(profile))
         self.terms.accept()
         return []
 

@@ -20,7 +20,7 @@ from companion.avoidance.trajectory import Trajectory
 from companion.avoidance.walls import walls_of
 from companion.config import Config, LimitsConfig
 from companion.errors import ConfigError
-from companion.events import Command, MissionDownloaded, MissionItem
+from companion.events import Command, GlobalPosition, MissionDownloaded, MissionItem
 from companion.geometry import LocalFrame, Vec3
 from companion.ownship import Ownship
 
@@ -183,15 +183,20 @@ class GuardPlan:
     def _follow(self, own: Ownship, now_s: float) -> None:
         assert self.course.law is not None
         here, item = own.position_ned_m(now_s), None if self._stale else self._item(own)
-        path, lowest_m = _standing(here), self._height_m(own)
-        place = None if item is None else place_of(item, self._height_m(own), self.course.home_alt_msl_m)
+        height_m = lowest_m = self._height_m(own)
+        path = _standing(here)
+        profile = [(path.start_s, height_m)]
+        place = None if item is None else place_of(item, height_m, self.course.home_alt_msl_m)
         if place is not None:
-            lat_deg, lon_deg, height_m = place
-            there = self._frame(own).to_ned(lat_deg, lon_deg, self.course.home_alt_msl_m + height_m)
+            there = self._ned(place, own)
             path = _way(here, own.velocity_ned_mps, there, self._speed_mps, self.terms.limits)
-            lowest_m = min(lowest_m, height_m)
+            lowest_m = min(lowest_m, place[2])
+            profile = [(0.0, height_m), (path.end_s, place[2])]
         self.course.law.follow(path)
         self.course.start_s, self.course.lowest_height_m = now_s, lowest_m
+        places = [] if self._stale else self._places(own)
+        around = [] if self._stale or own.takeoff is None else [self._ned(_takeoff(own.takeoff), own)]
+        self.course.lead([*around, *(self._ned(p, own) for p in places)], [p[2] for p in places], profile)
         self._led = ((), None) if self._stale else (self._flown, own.mission_seq)
 
     def near(self, own: Ownship, now_s: float) -> bool:
@@ -256,12 +261,27 @@ class GuardPlan:
     def _item(self, own: Ownship) -> MissionItem | None:
         return next((item for item in self._flown if item.seq == own.mission_seq), None)
 
+    def _places(self, own: Ownship) -> list[Vec3]:
+        """Places of the mission: latitude, longitude (deg), height above home (m)."""
+        height_m, home_m = self._height_m(own), self.course.home_alt_msl_m
+        places = (place_of(item, height_m, home_m) for item in self._flown)
+        return [place for place in places if place is not None]
+
+    def _ned(self, place: Vec3, own: Ownship) -> Vec3:
+        """A place (latitude, longitude, height above home) in the local frame."""
+        return self._frame(own).to_ned(place[0], place[1], self.course.home_alt_msl_m + place[2])
+
     def _frame(self, own: Ownship) -> LocalFrame:
         assert own.frame is not None
         return own.frame
 
     def _height_m(self, own: Ownship) -> float:
         return math.inf if own.position is None else own.position.height_above_home_m
+
+
+def _takeoff(position: GlobalPosition) -> Vec3:
+    """Where the vehicle took off, and so where it returns to."""
+    return position.lat_deg, position.lon_deg, position.height_above_home_m
 
 
 def _standing(here: Vec3) -> Trajectory:

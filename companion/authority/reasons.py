@@ -34,6 +34,8 @@ class Refused:
     """The gate refused a command, as a fault of ours."""
     lost: str | None = None
     """The gate refused a command because authority was lost."""
+    traffic: str | None = None
+    """Traffic is not avoided any longer: it has held the vehicle for as long as it may."""
 
 
 class Reasons:
@@ -76,6 +78,8 @@ class Reasons:
                 return f"the mission ended during handback; the vehicle is in mode {mode_name(seen)}"
             case Trigger.CHANGED if handback is not None:
                 return handback.why_not
+            case Trigger.SPENT:
+                return f"{refused.traffic}: the vehicle is to hold"
             case Trigger.CONFLICT if result is not None:
                 return "conflict with " + ", ".join(t.track_id for t in result.tracks if t.conflict)
         return _REASONS[trigger]

@@ -20,6 +20,10 @@ class Cycle(Protocol):
     def decide(self, now_s: float, state: State) -> LawResult:
         """Decide what the law would fly now. Needs a law."""
 
+    @property
+    def hold(self) -> str | None:
+        """Why the vehicle is to be asked to hold after the decision just made, in words; None: it is not."""
+
     def note(self, now_s: float, result: LawResult, state: State) -> list[Command]:
         """Alerts, messages and log entries about the decision just made."""
 

@@ -14,7 +14,8 @@ a vehicle that is ready: armed, in the air, with a usable own
    state and a path, and in a mode from which we may take it. If the autopilot flies its mission and is only
    guarded (`WATCHING`), the vehicle is taken only because of a conflict. The mission is then handed back
    (`RESUMED`), or ends during the handback (`ENDED`).
-5. Among the states that control the vehicle, the law's conflict decides.
+5. If traffic has held the vehicle for longer than it may (`SPENT`), the vehicle is left to the pilot.
+6. Among the states that control the vehicle, the law's conflict decides.
 
 `tests/companion/authority/test_proofs.py` checks every state with every set of triggers.
 """
@@ -62,6 +63,7 @@ class Trigger(enum.Enum):
     RESUMED = "resumed"
     ENDED = "ended"
     CHANGED = "changed"
+    SPENT = "spent"
     CONFLICT = "conflict"
     CLEAR = "clear"
     AWAY = "away"
@@ -98,6 +100,9 @@ TRANSITIONS: dict[tuple[State, Trigger], State] = {
     (State.AVOIDING, Trigger.ENDED): State.STANDBY,
     (State.RECOVERING, Trigger.ENDED): State.STANDBY,
     (State.GUARDING, Trigger.CHANGED): State.YIELDED,
+    (State.GUARDING, Trigger.SPENT): State.YIELDED,
+    (State.AVOIDING, Trigger.SPENT): State.YIELDED,
+    (State.RECOVERING, Trigger.SPENT): State.YIELDED,
     (State.GUARDING, Trigger.CONFLICT): State.AVOIDING,
     (State.GUARDING, Trigger.AWAY): State.RECOVERING,
     (State.RECOVERING, Trigger.CONFLICT): State.AVOIDING,

@@ -91,6 +91,10 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """True: the separations from crewed traffic apply."""
     adsb: bool = False
     """True: received by ADS-B; then `track_id` is its ICAO address."""
+    proven: bool = False
+    """True: a signature has verified its identity. What it says may still be false."""
+    group: str = ""
+    """Allowance that it shares with tracks that appeared with it or sound like it; "": its own alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +153,7 @@ class Law:
         Args:
             fence: walls from `walls.walls_of`; None: no fence.
         """
-        self._fence = k.NO_WALLS if fence is None else fence
+        self._configured_fence = self._fence = k.NO_WALLS if fence is None else fence
         self._configured = avoidance, limits
         self._planned = self._trajectory = trajectory
         self._settings = settings_of(avoidance, limits, trajectory)
@@ -184,6 +188,16 @@ class Law:
         self._planned = self._trajectory = trajectory
         self._settings = settings_of(*self._configured, trajectory)
         self._state = k.first_state(self._settings, self._state.samples)
+
+    def enclose(self, walls: Floats) -> None:
+        """Keep further walls from the next decision on, besides those of the fence.
+
+        Args:
+            walls: a table with the columns of `kernels.Wall`; `kernels.NO_WALLS` to keep the fence alone.
+        """
+        fence = self._configured_fence
+        self._fence = np.concatenate([fence, walls]) if len(walls) else fence
+        self._room(len(self._table))
 
     def note_velocity(self, now_s: float, velocity_ned_mps: Vec3) -> None:
         """Add an own velocity between decisions; ignored if it is not newer than the last, or not finite."""

@@ -17,11 +17,12 @@ import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adjustable_parameters import differences
-from companion.autopilot.advice import after_silence, no_receiver, remarks, too_fast
+from companion.autopilot.advice import after_silence, no_receiver, remarks
 from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.link import AutopilotLink
 from companion.autopilot.polled.streams import ENOUGH, STREAM_RATES_HZ
 from companion.avoidance.path import check_path
+from companion.commands.check_containment import judge_containment, judge_mission
 from companion.commands.drip_keys import find_signing
 from companion.commands.preflight import Preflight
 from companion.config import Config, check_identity
@@ -88,7 +89,18 @@ def check(config: Config, say: Callable[[str], None], *, as_json: bool = False) 
         0 if no finding is red, otherwise 1.
     """
     found = Preflight()
-    for probe in (_configuration, find_signing, _settings, _kernels, _disk, _policy, _radios, _vehicle):
+    probes = (
+        _configuration,
+        judge_containment,
+        find_signing,
+        _settings,
+        _kernels,
+        _disk,
+        _policy,
+        _radios,
+        _vehicle,
+    )
+    for probe in probes:
         before = len(found.findings)
         probe(config, found)
         if not as_json:
@@ -345,7 +357,8 @@ def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
         found.red("authority", rearm, 'set flight.rearm to "disarm" or "never"')
     _judge_parameters(config, probe.protocol.parameters, found)
     if config.flight.use == "guard" and probe.protocol.parameters is not None:
-        _judge_mission(config, probe.protocol.parameters, probe.mission, found)
+        home_m = probe.own.home_alt_msl_m
+        judge_mission(config, probe.protocol.parameters, probe.mission, found, home_m)
     _judge_rates(probe, found)
     _judge_own(config, probe, found)
 
@@ -371,29 +384,6 @@ def _judge_parameters(config: Config, told: VehicleParameters | None, found: Pre
         check_path(config, "configuration", told)
     except ConfigError as error:
         found.red("path", str(error), "change the trajectory or the vehicle's limits")
-
-
-def _judge_mission(
-    config: Config,
-    told: VehicleParameters,
-    mission: MissionDownloaded | MissionRefused | None,
-    found: Preflight,
-) -> None:
-    """Check that the mission to be guarded can be read, and is not flown faster than our speed limit."""
-    items = mission.items if isinstance(mission, MissionDownloaded) else ()
-    if items:
-        found.green("mission", f"{len(items)} items, read from the vehicle")
-    elif isinstance(mission, MissionDownloaded):
-        found.yellow("mission", "the vehicle has none", "upload the mission to be guarded, then check again")
-    else:
-        why = "the vehicle did not finish sending it" if mission is None else mission.reason
-        found.yellow(
-            "mission", f"not read: {why}", "check the link: a mission that cannot be read is not guarded"
-        )
-    fast = too_fast(config.limits, told, items)
-    if fast is not None:
-        do = "lower the mission's speed, or raise limits.max_speed_mps (and the vehicle's own limit)"
-        found.yellow("mission", fast, do)
 
 
 def _judge_rates(probe: _Probe, found: Preflight) -> None:

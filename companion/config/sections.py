@@ -133,6 +133,39 @@ class AvoidanceConfig(_Section, frozen=True):
     """Within this distance of its timed point, the aircraft counts as back on the path."""
 
 
+class ContainmentConfig(_Section, frozen=True):
+    """How far and how long traffic may move the aircraft whose identity no signature has verified."""
+
+    side_m: Annotated[float, Meta(ge=30, le=100_000)] = 150.0
+    """How far to the side of the mission's or path's convex hull the aircraft is taken at most."""
+    below_m: Annotated[float, Meta(ge=10, le=10_000)] = 30.0
+    """How far below the present leg, and never below the floor."""
+    above_m: Annotated[float, Meta(ge=10, le=10_000)] = 30.0
+    """How far above the present leg, and never above the ceiling."""
+    track_s: Annotated[float, Meta(ge=10, le=86_400)] = 300.0
+    """How long one track may be in conflict with the aircraft while it is held."""
+    inside_s: Annotated[float, Meta(ge=10, le=86_400)] = 90.0
+    """How long of that the aircraft may be inside the track's volume: separation and margins."""
+    group_s: Annotated[float, Meta(ge=10, le=86_400)] = 450.0
+    """The same for all tracks of one group together."""
+    total_s: Annotated[float, Meta(ge=10, le=86_400)] = 600.0
+    """How long all of them may hold the aircraft, the way back included."""
+    refill_s: Annotated[float, Meta(ge=60, le=86_400)] = 3600.0
+    """Time in which a spent allowance is whole again."""
+    then: Literal["resume", "hold"] = "resume"
+    """When `total_s` is spent. resume: fly on without avoiding them, and warn. hold: ask the vehicle to
+    hold, and leave it to the pilot."""
+    crewed_side_m: Annotated[float, Meta(ge=30, le=100_000)] | None = None
+    """`side_m` for crewed traffic (ADS-B), which may also press the aircraft down to the floor. None: three
+    times avoidance.crewed_horizontal_m, at least `side_m`."""
+    crewed_above_m: Annotated[float, Meta(ge=10, le=10_000)] | None = None
+    """`above_m` for crewed traffic. None: twice avoidance.crewed_vertical_m, at least `above_m`."""
+    crewed_total_s: Annotated[float, Meta(ge=10, le=86_400)] = 600.0
+    """`total_s` for crewed traffic, which has no allowance for each track."""
+    crewed_then: Literal["resume", "hold"] = "hold"
+    """`then` for crewed traffic."""
+
+
 class TrafficConfig(_Section, frozen=True):
     """Tracks of other aircraft from Remote ID."""
 
@@ -247,6 +280,7 @@ class Config(_Section, frozen=True):
     flight: FlightConfig = FlightConfig()
     limits: LimitsConfig = LimitsConfig()
     avoidance: AvoidanceConfig = AvoidanceConfig()
+    containment: ContainmentConfig = ContainmentConfig()
     traffic: TrafficConfig = TrafficConfig()
     remote_id: RemoteIdConfig = RemoteIdConfig()
     atmc: AtmcConfig = AtmcConfig()

@@ -7,7 +7,14 @@ replay reads them without a second definition. Units are SI, vectors are local N
 
 from __future__ import annotations
 
-from companion.events.authority import AuthorityChanged, GateAuthority, GateRefused, InputBehind, Settings
+from companion.events.authority import (
+    AllowanceSpent,
+    AuthorityChanged,
+    GateAuthority,
+    GateRefused,
+    InputBehind,
+    Settings,
+)
 from companion.events.base import Command, Event
 from companion.events.remote_id import (
     ArmStatus,
@@ -57,8 +64,8 @@ from companion.events.vehicle import (
 )
 
 __all__ = [
-    "SIGMA_UNKNOWN_M", "AdsbVehicle", "AlertChanged", "AnyCommand", "AnyEvent", "ArmStatus",
-    "AuthorityChanged", "Broadcast", "BroadcastChanged", "ClockRead", "Command", "CurrentMode",
+    "SIGMA_UNKNOWN_M", "AdsbVehicle", "AlertChanged", "AllowanceSpent", "AnyCommand", "AnyEvent",
+    "ArmStatus", "AuthorityChanged", "Broadcast", "BroadcastChanged", "ClockRead", "Command", "CurrentMode",
     "Decision", "DownloadFence", "DownloadMission", "EstimatorState", "Event", "FenceArea",
     "FenceDownloaded", "FenceRefused", "Firmware", "FlightMode", "GateAuthority", "GateRefused",
     "GlobalPosition", "GnssFix", "Heartbeat", "InputBehind", "Landed", "LandedState", "LocalPosition",
@@ -80,5 +87,5 @@ AnyEvent = (
 AnyCommand = (
     VelocitySetpoint | SetMode | SetSpeed | DownloadMission | DownloadFence | Threat | Say | ArmStatus
     | Broadcast | AuthorityChanged | BroadcastChanged | TransportsChosen | TrackFlagged | AlertChanged
-    | Decision
+    | Decision | AllowanceSpent
 )  # fmt: skip

@@ -52,3 +52,16 @@ class AuthorityChanged(Command, frozen=True):
     state: str
     trigger: str
     reason: str
+
+
+class AllowanceSpent(Command, frozen=True):
+    """Unproven traffic has spent an allowance for holding the aircraft (`authority.influence`)."""
+
+    scope: Literal["track", "group", "low", "total", "crewed", "squeeze"]
+    """Whose: one track's, its group's, all but the reserve of the total, the total, crewed traffic's total.
+    "squeeze": tracks that press on the aircraft are left out for a while, to avoid another."""
+    track_id: str = ""
+    """The track, the track of the group that was in conflict last, or the one that is avoided instead."""
+    spent: bool = True
+    """False: the allowance can be used again."""
+    text: str = ""

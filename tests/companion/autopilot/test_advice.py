@@ -75,7 +75,7 @@ def test_a_mission_that_is_faster_than_the_limit(
 @pytest.mark.parametrize(
     ("vehicle", "over", "words"),
     [
-        (told(setpoint_timeout_s=("GUID_TIMEOUT", 0.4)), {}, "GUID_TIMEOUT 0.4 s is short for 20 setpoints"),
+        (told(setpoint_timeout_s=("GUID_TIMEOUT", 0.4)), {}, "GUID_TIMEOUT 0.4 s is too short for 20"),
         (told(setpoint_timeout_s=("GUID_TIMEOUT", 0.5)), {}, None),
         (
             told(Firmware.PX4, setpoint_timeout_s=("COM_OF_LOSS_T", 0.9)),
@@ -86,9 +86,9 @@ def test_a_mission_that_is_faster_than_the_limit(
         (
             told(Firmware.PX4, loss_action=("COM_OBL_RC_ACT", 6)),
             {},
-            "COM_OBL_RC_ACT 6: a vehicle that hears no",
+            "COM_OBL_RC_ACT 6: without setpoints the vehicle",
         ),
-        (told(Firmware.PX4, loss_action=("COM_OBL_RC_ACT", 7)), {}, "no setpoints disarms"),
+        (told(Firmware.PX4, loss_action=("COM_OBL_RC_ACT", 7)), {}, "without setpoints the vehicle disarms"),
         (told(Firmware.PX4, loss_action=("COM_OBL_RC_ACT", 3)), {}, None),
         (told(fence_action=("FENCE_ENABLE", 0)), {"fence": "vehicle"}, "FENCE_ENABLE 0: the vehicle itself"),
         (told(fence_action=("FENCE_ENABLE", 0)), {}, None),
@@ -96,16 +96,16 @@ def test_a_mission_that_is_faster_than_the_limit(
         (told(Firmware.PX4, fence_action=("GF_ACTION", 1)), {"fence": "vehicle"}, "GF_ACTION 1: the vehicle"),
         (told(Firmware.PX4, fence_action=("GF_ACTION", 3)), {"fence": "vehicle"}, None),
         (told(setpoint_timeout_s=("GUID_TIMEOUT", 0.1)), {"use": "watch"}, None),
-        (told(mission_restart=("MIS_RESTART", 1)), {"use": "guard"}, "MIS_RESTART 1: a mission that is"),
+        (told(mission_restart=("MIS_RESTART", 1)), {"use": "guard"}, "MIS_RESTART 1: after a handback"),
         (told(mission_restart=("MIS_RESTART", 0)), {"use": "guard"}, None),
         (told(mission_restart=("MIS_RESTART", 1)), {}, None),
         (told(), {}, None),
         (
             adsb(2000),
             {},
-            "ADSB_LIST_RADIUS 2000: aircraft beyond 2000 m are not told of; at 80 m/s that is 25 s",
+            "ADSB_LIST_RADIUS 2000: the autopilot reports no aircraft beyond 2000 m; at 80 m/s that is 25 s",
         ),
-        (adsb(2000), {}, "and 90 s are looked ahead: set 7200 m or more"),
+        (adsb(2000), {}, "but the look-ahead is 90 s: set 7200 m or more"),
         (adsb(2000), {"use": "watch"}, "ADSB_LIST_RADIUS 2000"),
         (adsb(7199), {}, "ADSB_LIST_RADIUS 7199"),
         (adsb(7200), {}, None),
@@ -140,7 +140,11 @@ def test_what_follows_silence() -> None:
 
 @pytest.mark.parametrize(
     ("value", "words"),
-    [(None, None), (0.0, None), (1.0, "MIS_RESTART 1: a mission that is given back would begin anew")],
+    [
+        (None, None),
+        (0.0, None),
+        (1.0, "MIS_RESTART 1: after a handback the mission would restart from its beginning"),
+    ],
 )
 def test_a_mission_that_would_begin_anew(value: float | None, words: str | None) -> None:
     text = restarting(told() if value is None else told(mission_restart=("MIS_RESTART", value)))

@@ -11,7 +11,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from companion.commands.check import _judge_mission, _judge_parameters, check
+from companion.commands.check import _judge_parameters, check
+from companion.commands.check_containment import judge_containment, judge_mission
 from companion.commands.preflight import Preflight
 from companion.config import Config, RecordConfig, VehicleConfig
 from companion.errors import ConfigError
@@ -243,11 +244,11 @@ def test_the_mission_that_is_to_be_guarded(make_config: Callable[..., Config]) -
 
     def judge(mission: MissionDownloaded | MissionRefused | None) -> list[tuple[str, str]]:
         found = Preflight()
-        _judge_mission(make_config(use="guard"), told, mission, found)
+        judge_mission(make_config(use="guard"), told, mission, found)
         assert found.ready
-        assert {f.what for f in found.findings} == {"mission"}
         assert all(bool(f.do) is (f.light.value != "green") for f in found.findings)
-        return [(f.light.value, f.text) for f in found.findings]
+        assert {f.what for f in found.findings} <= {"mission", "containment"}
+        return [(f.light.value, f.text) for f in found.findings if f.what == "mission"]
 
     fast = (
         "yellow",
@@ -262,6 +263,42 @@ def test_the_mission_that_is_to_be_guarded(make_config: Callable[..., Config]) -
         fast,
     ]
     assert judge(None) == [("yellow", "not read: the vehicle did not finish sending it"), fast]
+
+
+def test_the_containment_is_told(make_config: Callable[..., Config]) -> None:
+    told = VehicleParameters(firmware=Firmware.PX4)
+
+    def place(seq: int, north_m: float, alt_m: float) -> MissionItem:
+        lat_deg = 47.0 + north_m / 111_170.0
+        return MissionItem(seq=seq, command=16, frame=6, lat_deg=lat_deg, lon_deg=8.0, alt_m=alt_m)
+
+    found = Preflight()
+    judge_mission(
+        make_config(use="guard"),
+        told,
+        MissionDownloaded(items=(place(1, 0.0, 40.0), place(2, 1000.0, 60.0))),
+        found,
+    )
+    assert [f.text for f in found.findings if f.what == "containment"] == [
+        "the volume is 1300 m from south to north, 300 m from west to east; 10 to 90 m above home, within "
+        "floor and ceiling"
+    ]
+    found = Preflight()
+    config = make_config(use="guard")
+    wide = msgspec.structs.replace(config.avoidance, crewed_horizontal_m=600.0)
+    narrow = msgspec.structs.replace(config.containment, crewed_side_m=500.0, then="hold")
+    judge_containment(msgspec.structs.replace(config, path=None, avoidance=wide, containment=narrow), found)
+    assert [(f.light.value, f.text) for f in found.findings] == [
+        ("green", "unproven traffic: 150 m to the side, 30 m below and 30 m above the leg; 600 s, then hold"),
+        (
+            "green",
+            "crewed traffic: 500 m to the side, 100 m above the leg, down to the floor; 600 s, then hold",
+        ),
+        ("yellow", "crewed_side_m 500 m is less than what avoidance.crewed_horizontal_m needs to the side"),
+    ]
+    found = Preflight()
+    judge_containment(make_config(use="watch"), found)
+    assert not found.findings
 
 
 def test_what_the_vehicle_hears_of_crewed_traffic_is_told(make_config: Callable[..., Config]) -> None:

@@ -1,0 +1,205 @@
+"""The volume that the aircraft does not leave while the companion flies it, whatever traffic it hears.
+
+It is kept in the same way as a fence, a floor and a ceiling: as an inclusion area with its walls, and as
+bounds on the height. Remote ID and ADS-B are unsigned: a transmitter can invent aircraft that push this one.
+The volume bounds how far (`allowance` bounds how long).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from companion.arrays import Floats
+from companion.authority.course import LEAST_LAYER_M, Course
+from companion.avoidance import kernels as k
+from companion.avoidance.law import Law
+from companion.config import Config
+from companion.geometry import Vec3
+from companion.laws import LAWS
+from companion.ownship import Ownship
+
+CEILING_M = 120.0
+"""Ceiling above home if none is configured and the mission flies no higher than `above_m` below it. It does
+not apply to crewed traffic."""
+_BEYOND_M = 10.0
+"""An aircraft that is farther outside than this when it is taken was not pushed there by traffic."""
+_CORNERS = 12
+"""Corners of the area around a single place."""
+_MOST_PLACES = 32
+"""Most places outside of the mission's volume that are remembered."""
+_CREWED_S = 3.0
+"""The volume for crewed traffic stays in force for this long after a conflict with such traffic."""
+_AREA = 1e6
+"""Number of the area in the table of walls; no fence has as many areas."""
+
+_Place = tuple[float, float]
+"""North and east, m."""
+
+
+class Containment:
+    """The volume of one flight.
+
+    Its area is the convex hull of the mission's or path's places and `side_m` around it. Its heights are
+    those of the present leg, `below_m` below and `above_m` above, between floor and ceiling. While crewed
+    traffic is in conflict, and until the aircraft is back in that volume, a larger one is in force:
+    `crewed_side_m` to the side, `crewed_above_m` above, and down to the floor. So it is for an aircraft that
+    is outside of the smaller one when it is taken. If it is outside of the larger one too (the mission is not
+    known, the pilot flew it elsewhere), the place where it is taken counts as a place of the mission.
+    """
+
+    def __init__(self, config: Config, own: Ownship, course: Course) -> None:
+        self._own = own
+        self._course = course
+        self._law: Law | None = None
+        """Law of the flight to which the places below belong."""
+        self._more: deque[_Place] = deque(maxlen=_MOST_PLACES)
+        """Places outside of the mission's volume in which the aircraft was taken."""
+        self._more_m: deque[float] = deque(maxlen=_MOST_PLACES)
+        """Heights above home outside of the mission's volume in which the aircraft was taken."""
+        self._of: tuple[Vec3, ...] | None = None
+        """`Course.places` for which the walls were made; None: the aircraft is not held."""
+        self._range_m = 0.0, 0.0
+        """Least and greatest height of the mission."""
+        self._narrow = self._wide = k.NO_WALLS
+        self._crewed_s = -math.inf
+        """Time of the last conflict with crewed traffic."""
+        self._is_wide = False
+        self.configure(config)
+
+    def configure(self, config: Config) -> None:
+        """Use another configuration from now on."""
+        self._limits = config.limits
+        self._config = config.containment
+        self._crewed_side_m, self._crewed_above_m = crewed_reach_m(config)
+        self._encloses = LAWS[config.avoidance.law].keeps_fence
+
+    def let_go(self) -> None:
+        """Note that the aircraft is not held: the volume ends."""
+        if self._of is not None:
+            self._of, self._is_wide = None, False
+            if self._law is not None:
+                self._law.enclose(k.NO_WALLS)
+
+    def note_conflict(self, now_s: float, *, crewed: bool) -> None:
+        """Take in whether the last decision saw a conflict with crewed traffic."""
+        if crewed:
+            self._crewed_s = now_s
+
+    def keep(self, now_s: float) -> tuple[float, float]:
+        """Let the law keep the volume from now on, and return its floor and ceiling (height above home).
+
+        Call this before every decision while the aircraft is held. Needs a law and an own position.
+        """
+        law, position = self._course.law, self._own.position
+        assert law is not None
+        assert position is not None
+        here, height_m = self._own.position_ned_m(now_s), position.height_above_home_m
+        if law is not self._law:
+            self._law, self._of = law, None
+            self._more.clear()
+            self._more_m.clear()
+        anew = self._of is not self._course.places
+        if anew:
+            self._make(here[:2], height_m)
+            self._is_wide = True  # unless the aircraft is within the other one, see below
+        wide = self._needs_wide(now_s, here[:2], height_m)
+        if self._encloses and (anew or wide != self._is_wide):
+            law.enclose(self._wide if wide else self._narrow)
+        self._is_wide = wide
+        return self._heights_m(now_s, wide)
+
+    def _make(self, here: _Place, height_m: float) -> None:
+        """Make the walls and heights of the mission, so that the aircraft is within the larger volume."""
+        config, course = self._config, self._course
+        self._of = course.places
+        heights = [*course.heights_m, *self._more_m]
+        if not heights or height_m > max(heights) + self._crewed_above_m + _BEYOND_M:
+            self._more_m.append(height_m)
+            heights.append(height_m)
+        self._range_m = min(heights), max(heights)
+        places = [*(place[:2] for place in course.places), *self._more]
+        if not places or not _within(_around(places, self._crewed_side_m + _BEYOND_M), here):
+            self._more.append(here)
+            places.append(here)
+        self._narrow = _around(places, config.side_m)
+        self._wide = _around(places, self._crewed_side_m)
+
+    def _needs_wide(self, now_s: float, here: _Place, height_m: float) -> bool:
+        """Whether the volume for crewed traffic is in force: until the aircraft is back in the other one."""
+        if now_s - self._crewed_s < _CREWED_S:
+            return True
+        if not self._is_wide:
+            return False
+        floor_m, ceiling_m = self._heights_m(now_s, False)
+        return not (floor_m <= height_m <= ceiling_m and _within(self._narrow, here))
+
+    def _heights_m(self, now_s: float, wide: bool) -> tuple[float, float]:
+        config, limits, (low, high) = self._config, self._limits, self._range_m
+        leg = self._course.leg_heights_m(now_s)
+        # What an earlier push has left behind does not move the volume.
+        least, most = (low, high) if leg is None else (min(max(h, low), high) for h in leg)
+        floor = self._course.floor_height_m(limits)
+        ceiling = limits.ceiling_height_m
+        top = math.inf if ceiling is None else ceiling
+        if wide:
+            return floor, min(top, max(most + self._crewed_above_m, floor + LEAST_LAYER_M))
+        floor = max(floor, min(least - config.below_m, top - LEAST_LAYER_M))
+        if ceiling is None:
+            top = max(CEILING_M, high + config.above_m)
+        return floor, min(top, max(most + config.above_m, floor + LEAST_LAYER_M))
+
+
+def crewed_reach_m(config: Config) -> tuple[float, float]:
+    """How far crewed traffic may push the aircraft to the side, and above the present leg (m)."""
+    own, separations = config.containment, config.avoidance
+    side_m, above_m = own.crewed_side_m, own.crewed_above_m
+    if side_m is None:
+        side_m = max(3.0 * separations.crewed_horizontal_m, own.side_m)
+    if above_m is None:
+        above_m = max(2.0 * separations.crewed_vertical_m, own.above_m)
+    return side_m, above_m
+
+
+def extent(places: Sequence[Vec3], config: Config) -> tuple[tuple[float, float], tuple[float, float]]:
+    """From south to north and from west to east: the ends (m) of the area around some places (NED, m)."""
+    walls = k.Wall(*_around([place[:2] for place in places], config.containment.side_m).T)
+    return (float(walls.n.min()), float(walls.n.max())), (float(walls.e.min()), float(walls.e.max()))
+
+
+def _around(places: Sequence[_Place], side_m: float) -> Floats:
+    """Walls of an inclusion area around all places: no point of it is farther than `side_m` from their convex
+    hull."""
+    angles = [2.0 * math.pi * i / _CORNERS for i in range(_CORNERS)]
+    corners = _hull(
+        [(n + side_m * math.cos(a), e + side_m * math.sin(a)) for n, e in _hull(places) for a in angles]
+    )
+    edges = zip(corners, (*corners[1:], corners[0]), strict=True)
+    return np.array([k.Wall(_AREA, k.IN_POLYGON, *a, *b, 0.0) for a, b in edges])
+
+
+def _hull(places: Sequence[_Place]) -> list[_Place]:
+    """Corners of the convex hull, in order (Andrew's monotone chain)."""
+    points = sorted(set(places))
+    if len(points) < 3:
+        return points
+    chains: list[list[_Place]] = []
+    for ordered in (points, points[::-1]):
+        chain: list[_Place] = []
+        for p in ordered:
+            while len(chain) > 1 and _turn(chain[-2], chain[-1], p) <= 0.0:
+                chain.pop()
+            chain.append(p)
+        chains.append(chain[:-1])
+    return chains[0] + chains[1]
+
+
+def _turn(a: _Place, b: _Place, c: _Place) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _within(walls: Floats, here: _Place) -> bool:
+    return bool(k.inside(walls, 0, len(walls), k.Point(*here)))

@@ -1,0 +1,199 @@
+"""Allowances, decision by decision, without a law."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from companion.authority.influence.allowance import Allowances
+from companion.avoidance.law import LawResult, Neighbour
+from companion.config import Config, ContainmentConfig, IdentityConfig
+from companion.events import AllowanceSpent, Say, TrackView
+
+SHORT = ContainmentConfig(
+    track_s=40.0, inside_s=20.0, group_s=60.0, total_s=100.0, refill_s=1000.0, crewed_total_s=50.0
+)
+
+
+def other(name, *, at=(20.0, 0.0, 0.0), velocity=(1.0, 0.0, 0.0), **fields):
+    return Neighbour(name, at, velocity, 0.0, 3.0, **fields)
+
+
+class Sky:
+    """What is heard, how far it moves, and what the law would say of it: all of it is in conflict."""
+
+    def __init__(self, config=SHORT, use="fly"):
+        made = Config(identity=IdentityConfig(uas_id="OWN"), containment=config)
+        flight = msgspec.structs.replace(made.flight, use=use)
+        self.all = Allowances(msgspec.structs.replace(made, flight=flight))
+        self.now_s = 0.0
+        self.told = []
+        self.hold = None
+
+    def run(self, seconds, *others, radius_m=10.0, held=True, back=False):
+        """Names of the tracks that were avoided at the end."""
+        admitted = []
+        for _ in range(round(seconds / 0.2)):
+            self.now_s += 0.2
+            others = [
+                msgspec.structs.replace(
+                    o,
+                    position_ned_m=tuple(
+                        p + 0.2 * v for p, v in zip(o.position_ned_m, o.velocity_ned_mps, strict=True)
+                    ),
+                )
+                for o in others
+            ]
+            admitted = self.all.admitted(self.now_s, others)
+            views = tuple(
+                TrackView(
+                    track_id=o.track_id, position_ned_m=o.position_ned_m, velocity_ned_mps=o.velocity_ned_mps,
+                    age_s=0.0, radius_m=radius_m, conflict=True, time_to_closest_s=5.0, closest_m=0.0,
+                    active=True, adsb=o.adsb,
+                )
+                for o in admitted
+            )  # fmt: skip
+            zero = (0.0, 0.0, 0.0)
+            result = LawResult(zero, zero, True, bool(views), False, (), views)
+            self.all.charge(self.now_s, zero, result, admitted, held=held, back=back)
+            self.told += self.all.told()
+            self.hold = self.hold or self.all.hold
+        return [o.track_id for o in admitted]
+
+    def scopes(self):
+        return [(c.scope, c.spent) for c in self.told if isinstance(c, AllowanceSpent)]
+
+
+def test_a_track_that_has_spent_its_allowance_is_left_out_and_others_are_not():
+    sky = Sky()
+    assert sky.run(39.0, other("A")) == ["A"]
+    assert sky.run(2.0, other("A", at=(60.0, 0.0, 0.0)), other("B")) == ["B"]
+    assert sky.scopes() == [("track", True)]
+    assert [c.text for c in sky.told if isinstance(c, Say)] == [
+        "DMUCA: A has held us for 40 s: it is not avoided any more"
+    ]
+
+
+def test_silence_and_another_flight_renew_nothing_but_time_does():
+    sky = Sky()
+    sky.run(41.0, other("A"))
+    sky.run(100.0)
+    assert sky.run(1.0, other("A")) == []
+    sky.run(420.0)  # half of it is whole again
+    assert sky.run(1.0, other("A")) == ["A"]
+
+
+def test_nothing_is_charged_while_the_vehicle_is_not_held():
+    sky = Sky()
+    assert sky.run(200.0, other("A"), held=False) == ["A"]
+    assert not sky.told
+
+
+def test_a_proven_track_is_neither_charged_nor_left_out():
+    sky = Sky()
+    assert sky.run(500.0, other("A", proven=True), other("H", proven=True, adsb=True, crewed=True)) == [
+        "A",
+        "H",
+    ]
+    assert not sky.told
+    assert sky.hold is None
+
+
+def test_inside_its_volume_a_track_has_less():
+    sky = Sky()
+    near = other("A", at=(-10.0, 0.0, 0.0))
+    assert sky.run(19.0, near, radius_m=30.0) == ["A"]
+    assert sky.run(2.0, other("A", at=(-5.0, 0.0, 0.0)), radius_m=30.0) == []
+
+
+def test_a_new_name_inside_takes_over_what_the_last_one_used():
+    sky = Sky()
+    sky.run(15.0, other("A", at=(-7.0, 0.0, 0.0)), radius_m=30.0)
+    assert sky.run(10.0, other("B", at=(-5.0, 0.0, 0.0)), radius_m=30.0) == []
+    # One that comes from farther away has an allowance of its own.
+    assert sky.run(10.0, other("C", at=(-50.0, 0.0, 0.0)), radius_m=30.0) == ["C"]
+
+
+@pytest.mark.parametrize("stands", [True, False])
+def test_a_track_that_presses_yields_to_another_unless_it_stood_there_before(stands):
+    sky = Sky(ContainmentConfig())
+    velocity = (0.0, 0.0, 0.0) if stands else (0.7, 0.0, 0.0)
+    assert sky.run(35.0, other("A", at=(5.0, 0.0, 0.0), velocity=velocity), radius_m=60.0) == ["A"]
+    place = (5.0, 0.0, 0.0) if stands else (29.5, 0.0, 0.0)
+    both = (
+        other("A", at=place, velocity=velocity),
+        other("B", at=(200.0, 0.0, 0.0), velocity=(-6.0, 0.0, 0.0)),
+    )
+    assert sky.run(1.0, *both, radius_m=60.0) == (["A", "B"] if stands else ["B"])
+    assert sky.run(4.0, other("A", at=place, velocity=velocity), radius_m=60.0) == ["A"]
+
+
+def test_a_group_shares_and_each_of_it_keeps_a_quarter_of_a_tracks():
+    sky = Sky()
+    for name in "ABCD":
+        sky.run(14.0, other(name, group="g"))
+    assert sky.run(8.0, other("E", group="g")) == ["E"]
+    assert ("group", True) in sky.scopes()
+    assert sky.run(8.0, other("E", group="g")) == []  # 10 s of 40 s
+    assert sky.run(1.0, other("F", group="g"), other("G")) == ["F", "G"]
+
+
+def test_the_last_quarter_of_the_total_is_for_tracks_that_were_heard_before():
+    sky = Sky()
+    old = other("OLD", at=(900.0, 0.0, 0.0), velocity=(-4.0, 0.0, 0.0))
+    for name in "ABC":
+        sky.run(1.0, old, held=False)
+        sky.run(26.0, other(name))
+    assert sky.scopes()[-1] == ("low", True)
+    assert sky.run(1.0, other("NEW"), old) == ["OLD"]
+
+
+def test_where_the_total_is_spent_all_are_left_out_but_those_that_stand_then_the_vehicle_holds():
+    sky = Sky()
+    for name in "ABCD":
+        sky.run(30.0, other(name))
+    sky.run(30.0, back=False)
+    assert ("total", True) in sky.scopes()
+    assert sky.run(1.0, other("E")) == []
+    assert sky.hold is None
+    standing = other("S", at=(20.0, 5.0, 0.0), velocity=(0.0, 0.0, 0.0))
+    sky.run(40.0, standing)
+    assert sky.hold == "unproven traffic has held us for 100 s: S"
+
+
+def test_with_hold_nobody_is_left_out_by_the_total():
+    sky = Sky(msgspec.structs.replace(SHORT, then="hold"))
+    for name in "ABCD":
+        sky.run(30.0, other(name))
+    assert sky.hold == "unproven traffic has held us for 100 s: D"
+    assert sky.run(1.0, other("E")) == ["E"]
+
+
+@pytest.mark.parametrize("then", ["hold", "resume"])
+def test_crewed_traffic_has_a_total_of_its_own(then):
+    sky = Sky(msgspec.structs.replace(SHORT, crewed_then=then))
+    heli = other("H", velocity=(3.0, 0.0, 0.0), adsb=True, crewed=True)
+    assert sky.run(49.0, heli) == ["H"]
+    assert sky.run(3.0, heli, other("A")) == (["H", "A"] if then == "hold" else ["A"])
+    assert sky.hold == ("crewed traffic has held us for 50 s: H" if then == "hold" else None)
+    assert sky.scopes() == [("crewed", True)]
+
+
+@pytest.mark.parametrize(("use", "charged"), [("guard", True), ("fly", False)])
+def test_a_guarded_vehicle_is_charged_until_it_is_given_back(use, charged):
+    """Short conflicts, each of which holds a guarded vehicle for a minute."""
+    sky = Sky(use=use)
+    for n in range(12):
+        sky.run(1.0, other(f"A{n}"))
+        sky.run(59.0, back=True)
+    assert (("total", True) in sky.scopes()) is charged
+
+
+def test_what_is_remembered_is_bounded():
+    sky = Sky()
+    sky.all.admitted(0.0, [other("A")])
+    for n in range(30):
+        sky.all.admitted(1.0, [other(f"{n}/{m}") for m in range(100)])
+    assert len(sky.all._tracks) == 1000
+    sky.all.admitted(100.0, [])
+    assert not sky.all._tracks
