@@ -7,13 +7,11 @@ more memory.
 from __future__ import annotations
 
 import contextlib
-import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from numba.core.caching import NullCache
-from numba.core.runtime.nrt import rtsys
 
 from companion.avoidance import kernels
 
@@ -21,33 +19,8 @@ from companion.avoidance import kernels
 def warm_up() -> float:
     """Compile the kernels, or load them from the cache. Returns the seconds that this took."""
     began = time.perf_counter()
-    try:
-        with _loading_only():
-            kernels.warm_up()
-    except Exception:  # not in the cache, or the cache is damaged
-        past_the_cache(kernels.warm_up, kernels.FUNCTIONS)
+    past_the_cache(kernels.warm_up, kernels.FUNCTIONS)
     return time.perf_counter() - began
-
-
-@contextlib.contextmanager
-def _loading_only() -> Iterator[None]:
-    """Keep numba from loading two of its parts, 40 MB, that functions from the cache do without.
-
-    With the first function of a process, numba compiles its memory runtime, which only compiling needs, and
-    imports SciPy's linear algebra if SciPy is installed. While this context lasts, compiling raises an
-    exception; afterwards it works as usual.
-    """
-    runtime: Any = rtsys
-    ready, runtime._init = runtime._init, True
-    hidden = "scipy.linalg" not in sys.modules
-    if hidden:
-        sys.modules["scipy.linalg"] = None  # type: ignore[assignment]
-    try:
-        yield
-    finally:
-        runtime._init = ready
-        if hidden:
-            del sys.modules["scipy.linalg"]
 
 
 def past_the_cache(compile_all: Callable[[], None], functions: Iterable[object]) -> None:
