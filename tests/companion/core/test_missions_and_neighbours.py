@@ -159,3 +159,19 @@ def test_a_vehicle_that_is_not_configured_is_taken_once_others_would_have_been_h
         took_s.append(bench.now_s)
     assert took_s[1] < 1.0
     assert 3.0 <= took_s[0] < 4.0
+
+
+@pytest.mark.parametrize(
+    ("mode", "first_m"),
+    [(FlightMode.MISSION, 600.0), (FlightMode.HOLD, 300.0)],
+    ids=["in progress", "not begun"],
+)
+def test_a_mission_in_progress_goes_on_at_its_item_any_other_begins_at_the_first(mode, first_m):
+    made = msgspec.structs.replace(config(trajectory="mission", mission_speed_mps=3.0), path=None)
+    bench = Bench(Companion(made), mission=mission(300.0, 600.0, 900.0), mode=mode)
+    bench.extra.append(MissionCurrent(seq=1))
+    bench.until(lambda: bench.core.state in HOLDING)
+    points = bench.core.plan.course.law.trajectory.points_ned_m
+    assert [point[0] for point in points[1:]] == [
+        pytest.approx(north_m, abs=1.0) for north_m in (300.0, 600.0, 900.0) if north_m >= first_m
+    ]

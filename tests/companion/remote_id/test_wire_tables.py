@@ -230,6 +230,27 @@ def test_the_bytes_of_the_other_messages(message: Any, data: str) -> None:
     assert decode(bytes.fromhex(data)) == message
 
 
+@pytest.mark.parametrize(
+    ("kind", "numbers"),
+    [
+        (IdType, "NONE SERIAL_NUMBER CAA_REGISTRATION UTM_ASSIGNED_UUID SPECIFIC_SESSION"),
+        (Status, "UNDECLARED GROUND AIRBORNE EMERGENCY REMOTE_ID_SYSTEM_FAILURE"),
+        (OperatorLocationType, "TAKEOFF LIVE_GNSS FIXED"),
+        (ClassificationType, "UNDECLARED EU"),
+        (
+            UaType,
+            "NONE AEROPLANE HELICOPTER_OR_MULTIROTOR GYROPLANE HYBRID_LIFT ORNITHOPTER GLIDER KITE "
+            "FREE_BALLOON CAPTIVE_BALLOON AIRSHIP FREE_FALL_PARACHUTE ROCKET TETHERED_POWERED_AIRCRAFT "
+            "GROUND_OBSTACLE OTHER",
+        ),
+    ],
+)
+def test_numbers_of_enumerations(kind: Any, numbers: str) -> None:
+    """In the order of the standard, from 0 on."""
+    names = numbers.split()
+    assert [kind(number).name for number in range(len(names))] == names
+
+
 # ---------------------------------------------------------------- frames
 
 MESSAGE = encode(SelfId(description_type=0, text="ab"))
@@ -289,6 +310,28 @@ def test_an_ssid_has_32_bytes_at_most() -> None:
     build_beacon(PACK, 0, MAC, ssid="x" * 32)
     with pytest.raises(ValueError, match="ssid"):
         build_beacon(PACK, 0, MAC, ssid="x" * 33)
+
+
+@pytest.mark.parametrize(
+    "pack",
+    [
+        bytes((0xF2, 25, 0)),
+        bytes((0xF2, 25, 1)),
+        PACK[:-1],
+        PACK + b"\0",
+        bytes((0xF2, 25, 10)) + 10 * MESSAGE,
+        bytes((0xF2, 24, 1)) + MESSAGE,
+        bytes((0x02, 25, 1)) + MESSAGE,
+    ],
+)
+def test_a_pack_whose_head_and_length_differ_is_not_sent(pack: bytes) -> None:
+    for build in (
+        lambda: build_ble5(pack, 0),
+        lambda: build_beacon(pack, 0, MAC),
+        lambda: build_nan_action(pack, 0, MAC),
+    ):
+        with pytest.raises(ValueError, match="a pack of 1 to 9 messages"):
+            build()
 
 
 def test_a_counter_wraps_after_255() -> None:

@@ -140,3 +140,12 @@ def test_every_transport_of_a_track_by_its_locations():
     (track,) = traffic.tracks.values()
     found = {transport: reception.rate(19.9) for transport, reception in traffic.receptions(track)}
     assert found == {"ble4": 10, "wifi": 2}
+
+
+def test_what_arrived_fades_and_counts_for_nothing_after_ten_seconds():
+    reception = stream(10, 1.0, 20.0)
+    arrived, expected = reception.arrivals(reception.heard_s)
+    later = reception.arrivals(reception.heard_s + 9.9)
+    assert 0.0 < later[0] < arrived
+    assert later[0] / later[1] == pytest.approx(arrived / expected)
+    assert reception.arrivals(reception.heard_s + 10.1) == (0.0, 0.0)

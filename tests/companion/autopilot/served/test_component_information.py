@@ -139,6 +139,8 @@ def test_the_metadata_lead_to_files_that_are_what_they_say(request_int):
     general = download(station, uri)
     assert ftp.crc32(general) == crc
     told = json.loads(general)
+    # The version of the layout of general metadata.
+    assert told["version"] == 1
     assert (told["vendorName"], told["modelName"]) == ("DMUCA", "companion")
     assert told["firmwareVersion"] == __version__
     (parameter,) = told["metadataTypes"]
@@ -203,6 +205,14 @@ def test_switching_off_is_told_as_a_choice_of_two():
     for number in numbers:
         assert number["decimalPlaces"] == 1
         assert "values" not in number
+
+
+def test_each_request_is_counted_once():
+    station = Station()
+    for count in (1, 2):
+        station.request(METADATA)
+        station.run()
+        assert station.link.counts.information_requests == count
 
 
 def test_what_there_is_not_is_refused_and_counted():

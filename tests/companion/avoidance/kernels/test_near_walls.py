@@ -81,6 +81,14 @@ def test_along_a_wall_it_flies_on(way: float) -> None:
     assert command.e * way > 4.9
 
 
+@pytest.mark.parametrize("way", [-1.0, 1.0])
+def test_along_a_wall_it_flies_no_faster_than_it_may(way: float) -> None:
+    """It wants to be faster, and nearer to the wall than it may come."""
+    command = kept(0.2, k.Vector(0.0, 7.9 * way, 0.0), k.Vector(5.0, 9.0 * way, 0.0))
+    assert math.hypot(*command) <= SPEED
+    assert command.e * way > 7.9
+
+
 def test_it_brakes_with_all_of_the_limit_if_only_that_stops_it() -> None:
     """5 m/s: 8.33 m with 1.5 m/s^2, 11.9 m with the share of it that is planned with."""
     before = k.Vector(4.0, 3.0, 0.4)

@@ -1,0 +1,59 @@
+"""Tracks that turn out to be one aircraft, and which track gives way in a full table."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.remote_id.messages import IdType
+from tests.companion.traffic.flights import Listener, basic, fly, location, seconds, straight
+
+
+@pytest.mark.parametrize(
+    ("beside_m", "joined"),
+    [(0.0, True), (14.0, True), (16.0, False)],
+)
+@pytest.mark.parametrize("named_first", [True, False])
+def test_a_nameless_track_joins_where_the_named_one_has_flown_to(beside_m, joined, named_first):
+    """Two seconds later, 40 m farther at 20 m/s."""
+    listener = Listener()
+    motion, beside = straight(20.0, north_m=0.0), straight(20.0, north_m=beside_m)
+    named_s, nameless_s = (10.0, 12.0) if named_first else (12.0, 10.0)
+    heard = [
+        (named_s, lambda: listener.hear(named_s + 0.1, basic("X"), location(motion, named_s), address="w")),
+        (
+            nameless_s,
+            lambda: listener.hear(
+                nameless_s + 0.1, location(beside, nameless_s), address="b", transport="ble4"
+            ),
+        ),
+    ]
+    for _, hear in sorted(heard, key=lambda entry: entry[0]):
+        hear()
+    listener.hear(12.5, basic("X"), address="b", transport="ble4")
+    assert len(listener.traffic.tracks) == (1 if joined else 2)
+
+
+@pytest.mark.parametrize("name", [basic("X", IdType.NONE), basic("")])
+def test_an_identity_of_no_kind_or_without_text_is_none(name):
+    listener = Listener()
+    for address in "ab":
+        listener.hear(10.2, name, location(straight(), 10.0), address=address)
+    assert set(listener.traffic.tracks) == {"wifi/a", "wifi/b"}
+
+
+def test_an_established_track_that_flew_away_gives_way_before_one_that_is_nearer():
+    """We are at the origin; who left was the nearest when it was established."""
+    listener = Listener(max_tracks=2)
+    leaving = straight(60.0, north_m=0.0, east_m=20.0)
+    fly(listener, leaving, seconds(24), identity="LEAVING", address="l")
+    fly(listener, straight(0.0, 300.0, 0.0), seconds(4, 30.0), identity="STAYING", address="s")
+    fly(listener, straight(0.0, 100.0, 0.0), [36.0], identity="NEW", address="n")
+    assert set(listener.traffic.tracks) == {"STAYING", "NEW"}
+
+
+def test_an_unknown_height_is_no_manoeuvre():
+    """Heard every five seconds, flying straight on."""
+    listener = Listener()
+    fly(listener, straight(), seconds(10, rate_hz=0.2), alt_geodetic_m=None)
+    (track,) = listener.traffic.tracks.values()
+    assert track.past.growth_mps == pytest.approx(0.0, abs=0.01)
