@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from companion.avoidance import kernels
 from companion.geometry import Vec3
 from companion.remote_id.messages import Location
+from companion.traffic.about import About
 from companion.traffic.fix import Fix
 from companion.traffic.plausibility import Doubts, Flag, MotionWindow, noise_m
-from companion.traffic.sender_details import About
 
 _CLOCKLESS_S = 0.5
 ESTABLISHED = 3

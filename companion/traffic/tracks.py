@@ -26,6 +26,7 @@ from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.authentication import SPECIFIC_METHOD, Assembler, AuthenticationData
 from companion.remote_id.drip.trust import Trust
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, UaType
+from companion.traffic.about import About
 from companion.traffic.doubts import Judge
 from companion.traffic.eviction import Ranking
 from companion.traffic.fix import Fix, make_fix
@@ -33,7 +34,7 @@ from companion.traffic.own_flight import OwnFlight
 from companion.traffic.plausibility import Flag, MotionWindow, status_doubts
 from companion.traffic.reception import Reception
 from companion.traffic.right_of_way import rank_of, share_of
-from companion.traffic.sender_details import About, Source, Sources
+from companion.traffic.sender_details import Source, Sources
 from companion.traffic.signatures import Signatures
 from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, near, off, reach, same
 
