@@ -15,7 +15,7 @@ Rules, each against one way around the others:
 - Tracks of one group have `group_s` together. Once that is spent, each of them has a quarter of `track_s`: a
   fake cannot spend the allowance of an honest aircraft by sounding like it.
 - All of them have `total_s` for the time in which the aircraft is held, the way back included. The last
-  quarter of it is kept for tracks that were heard before and have used up to a quarter of `track_s`: new
+  quarter of it is kept for tracks that were heard before and had then used up to a quarter of `track_s`: new
   identities cannot spend it.
 - A track that stands still may block, but it cannot drive the aircraft anywhere. It is never flown into:
   where the total is spent and such a track is in the way, the vehicle is asked to hold. A track that has
@@ -98,6 +98,8 @@ class _Known:
     pressed_s: float = 0.0
     entered: bool = False
     """It has been inside its volume."""
+    reserved: bool = False
+    """It had used little when only the last quarter of the total was left."""
     chases: bool = False
     """It has moved while it pressed. If it stands later, it is because the aircraft stands."""
 
@@ -184,7 +186,7 @@ class Allowances:
             return False
         if config.then == "hold" or self._low_s is None:
             return True
-        return not self._total.spent and little and known.first_s < self._low_s
+        return not self._total.spent and known.reserved
 
     def _group_spent(self, other: Neighbour) -> bool:
         group = self._groups.get(other.group) if other.group else None
@@ -296,6 +298,8 @@ class Allowances:
         low = self._total.used_s >= (1.0 - RESERVE) * config.total_s
         if low and self._low_s is None:
             self._low_s = now_s
+            for known in self._tracks.values():
+                known.reserved = known.used.used_s <= RESERVE * config.track_s
             self._tell_low()
         elif self._total.used_s <= _WHOLE * config.total_s:
             self._low_s = None

@@ -166,8 +166,9 @@ def crewed_reach_m(config: Config) -> tuple[float, float]:
 
 def extent(places: Sequence[Vec3], config: Config) -> tuple[tuple[float, float], tuple[float, float]]:
     """From south to north and from west to east: the ends (m) of the area around some places (NED, m)."""
-    walls = k.Wall(*_around([place[:2] for place in places], config.containment.side_m).T)
-    return (float(walls.n.min()), float(walls.n.max())), (float(walls.e.min()), float(walls.e.max()))
+    corners = _around([place[:2] for place in places], config.containment.side_m)[:, 2:4]
+    (south, west), (north, east) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+    return (south, north), (west, east)
 
 
 def _around(places: Sequence[_Place], side_m: float) -> Floats:

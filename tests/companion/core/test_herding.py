@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -120,7 +121,8 @@ def test_an_honest_blind_aircraft_is_avoided_while_a_ghost_presses(use, offset):
 
 def test_an_honest_blind_aircraft_is_avoided_after_the_ghost_has_spent_everything_it_had():
     ghost = sender("GHOST", follower(ASIDE))
-    bench = herded("guard", containment=SMALL).fly(100.0, ghost)
+    config = msgspec.structs.replace(SMALL, total_s=200.0)
+    bench = herded("guard", containment=config).fly(100.0, ghost)
     assert bench.core.state is State.WATCHING
     velocity = np.array([-5.0, 0.0, 0.0])
     start, since_s, before = bench.place + 25.0 * (bench.speed - velocity), bench.now_s, len(bench.way)

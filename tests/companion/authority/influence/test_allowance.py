@@ -146,6 +146,9 @@ def test_the_last_quarter_of_the_total_is_for_tracks_that_were_heard_before():
         sky.run(26.0, other(name))
     assert sky.scopes()[-1] == ("low", True)
     assert sky.run(1.0, other("NEW"), old) == ["OLD"]
+    # It is not given up in the middle of an encounter, but with the total.
+    assert sky.run(15.0, old) == ["OLD"]
+    assert sky.run(15.0, old) == []
 
 
 def test_where_the_total_is_spent_all_are_left_out_but_those_that_stand_then_the_vehicle_holds():
