@@ -6,8 +6,6 @@ import argparse
 import functools
 import json
 import math
-import os
-import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter
@@ -21,6 +19,7 @@ from rich.console import Console
 from companion.errors import ConfigError
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import fences, run_folder, tables
+from ground_tools.campaign.attacks import command as attacks
 from ground_tools.campaign.cells import Cell, Row
 from ground_tools.campaign.generators import NAMES
 from ground_tools.campaign.vehicles import INTRUDERS, TWINS
@@ -28,9 +27,9 @@ from ground_tools.channel import options
 from ground_tools.common.cluster import on_ray
 from ground_tools.common.intervals import wilson
 from ground_tools.common.progress import progress
+from ground_tools.common.run_options import processes_of, seeds_of
 from ground_tools.common.workers import in_parallel
 
-_MOST_SEEDS = 1_000_000
 _MOST_AIRCRAFT = 200
 _MOST_WORST = 1000
 _AIRCRAFT_AT_ONCE = 500
@@ -72,6 +71,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     _add_fences(command)
+    command = commands.add_parser(
+        "attacks",
+        help="attack the companion with a forging transmitter",
+        description="Fly the companion's own core against forged Remote ID and ADS-B, with and without them.",
+        epilog="example: ground-tools campaign attacks --kind crowd --seeds 1-1000 --out runs/attacks",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    attacks.add_arguments(command)
 
 
 def _add_run(command: argparse.ArgumentParser) -> None:
@@ -169,7 +176,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
-    cell, seeds = _cell(args), _seeds(args.seeds)
+    cell, seeds = _cell(args), seeds_of(args.seeds)
     _check_worst(args)
     _check_twins(args, cell)
     words = Console(stderr=True)
@@ -201,7 +208,7 @@ def run_table(args: argparse.Namespace) -> int:
     Raises:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
-    seeds, wanted = _seeds(args.seeds), tables.TABLES[args.table]()
+    seeds, wanted = seeds_of(args.seeds), tables.TABLES[args.table]()
     with_unavoided = dict.fromkeys(c for cell in wanted for c in (cell, campaign.baseline(cell)))
     found, _ = fly_missing(list(with_unavoided), seeds, args.out, _work(args, Console(stderr=True)))
     lines = [
@@ -221,7 +228,7 @@ def run_fences(args: argparse.Namespace) -> int:
     Raises:
         ConfigError: an option is wrong.
     """
-    seeds, processes = _seeds(args.seeds), _processes(args.processes)
+    seeds, processes = seeds_of(args.seeds), processes_of(args.processes)
     fly = functools.partial(_fly_fences, noisy=args.noisy, outside=args.outside)
     parts = [seeds[at : at + _FENCES_AT_ONCE] for at in range(0, len(seeds), _FENCES_AT_ONCE)]
     rows: list[fences.Row] = []
@@ -274,7 +281,7 @@ def fly_missing(
 def _work(args: argparse.Namespace, words: Console) -> Work:
     """The function that flies: with processes of this machine or on a cluster."""
     if args.ray is None:
-        processes = _processes(args.processes)
+        processes = processes_of(args.processes)
 
         def here(parts: Sequence[Part]) -> Iterator[tuple[Part, list[Row]]]:
             for cell, seeds in parts[:1]:
@@ -393,22 +400,6 @@ def _check_twins(args: argparse.Namespace, cell: Cell) -> None:
         )
     if campaign.WORLDS[cell.world].blackout_s > 0.0:
         raise ConfigError(f"--world {cell.world} cannot be combined with --intruder {cell.intruder}")
-
-
-def _seeds(text: str) -> range:
-    match = re.fullmatch(r"(\d+)-(\d+)", text)
-    if match is None or not int(match[1]) <= int(match[2]) < int(match[1]) + _MOST_SEEDS:
-        raise ConfigError(
-            f"--seeds: {text} is not allowed; "
-            f"allowed: a rising range of at most {_MOST_SEEDS:,} seeds, such as 1-100"
-        )
-    return range(int(match[1]), int(match[2]) + 1)
-
-
-def _processes(asked: int | None) -> int:
-    if asked is not None and not 1 <= asked <= 1024:
-        raise ConfigError(f"--processes: {asked} is out of range; allowed: 1 to 1024")
-    return asked or os.cpu_count() or 1
 
 
 def _show(cell: Cell, report: dict[str, Any], words: Console) -> None:

@@ -1,0 +1,170 @@
+"""The command `ground-tools campaign attacks`: flies forging transmitters against the companion."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+from rich.console import Console
+
+from companion.errors import ConfigError
+from ground_tools.campaign.attacks import flight, kept, search, tables
+from ground_tools.campaign.attacks.kinds import KINDS
+from ground_tools.campaign.attacks.outcome import Row
+from ground_tools.campaign.attacks.scene import MANNERS, USES, Cell, baseline
+from ground_tools.channel import options
+from ground_tools.common.kept_lines import Kept
+from ground_tools.common.progress import progress
+from ground_tools.common.run_options import processes_of, seeds_of
+from ground_tools.common.workers import in_parallel
+
+_AT_ONCE: Final = 5
+_NAMES: Final = (*KINDS, "worst")
+
+Part = tuple[Cell, list[int]]
+Search = tuple[Cell, int]
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Add the options of `ground-tools campaign attacks`."""
+    command.add_argument("--kind", action="append", choices=_NAMES, metavar="KIND",
+                         help=f"kind of attack, may be repeated: {', '.join(_NAMES)} (default: all but "
+                         "worst); worst searches the kinds of --of for the most harm")  # fmt: skip
+    command.add_argument("--seeds", default="1-100", metavar="FROM-TO",
+                         help="range of seeds, one encounter each (default: 1-100)")  # fmt: skip
+    command.add_argument("--use", choices=USES, default="mixed",
+                         help="how the own aircraft uses its companion (default: mixed; herd and adsb: "
+                         "guard)")  # fmt: skip
+    command.add_argument("--intruder", choices=MANNERS, default="mixed",
+                         help="how the aircraft on collision course flies (default: mixed)")  # fmt: skip
+    command.add_argument(
+        "--no-signal", action="store_true", help="receivers do not report the signal strength"
+    )
+    command.add_argument("--jobs", type=int, metavar="N", help="worker processes (default: one per core)")
+    command.add_argument("--out", type=Path, metavar="FOLDER",
+                         help="keep results in this folder, and do not repeat flights whose results are "
+                         "there; with worst: write each found case there")  # fmt: skip
+    command.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
+    command.add_argument("--of", action="append", choices=tuple(KINDS), metavar="KIND",
+                         help="worst: kinds to search, may be repeated (default: free)")  # fmt: skip
+    command.add_argument("--harm", choices=search.HARMS, default="separation",
+                         help="worst: what the attack is to achieve (default: separation)")  # fmt: skip
+    command.add_argument(
+        "--evaluations",
+        type=int,
+        default=2000,
+        metavar="N",
+        help="worst: flights of each search (default: 2000)",
+    )
+    command.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `ground-tools campaign attacks`. Returns 0.
+
+    Raises:
+        ConfigError: an option is wrong, or a file cannot be read or written.
+    """
+    seeds, jobs = seeds_of(args.seeds), processes_of(args.jobs, "jobs")
+    kinds = args.kind or list(KINDS)
+    if "worst" in kinds:
+        if len(kinds) > 1:
+            raise ConfigError("--kind worst cannot be combined with other kinds; name those with --of")
+        return _run_worst(args, seeds, jobs)
+    wanted = {kind: _cell(args, kind) for kind in kinds}
+    cells = list(dict.fromkeys([*wanted.values(), *map(baseline, wanted.values())]))
+    rows = fly_missing(cells, seeds, args.out, jobs)
+    found = {kind: tables.summary(rows[cell], rows[baseline(cell)]) for kind, cell in wanted.items()}
+    print(json.dumps(found, allow_nan=False) if args.json else tables.markdown(found), end="")
+    return 0
+
+
+def fly_missing(
+    cells: Sequence[Cell], seeds: Sequence[int], folder: Path | None, jobs: int
+) -> dict[Cell, list[Row]]:
+    """Fly the seeds of all cells that the folder does not hold. Returns the rows in the order of the seeds.
+
+    Raises:
+        ConfigError: a file cannot be read or written.
+    """
+    files: dict[Cell, Kept[Row]] = {}
+    rows: dict[Cell, dict[int, Row]] = {cell: {} for cell in cells}
+    if folder is not None:
+        options.make_folder(folder)
+        files = {cell: _file(folder, cell) for cell in cells}
+        rows = {cell: dict(file.rows) for cell, file in files.items()}
+    parts: list[Part] = []
+    for cell in cells:
+        missing = [seed for seed in seeds if seed not in rows[cell]]
+        parts += [(cell, missing[at : at + _AT_ONCE]) for at in range(0, len(missing), _AT_ONCE)]
+    with progress("flights", len(parts)) as advance:
+        for (cell, _), found in in_parallel(_fly, parts, jobs, Console(stderr=True)):
+            if cell in files:
+                files[cell].add(found)
+            rows[cell].update((row.seed, row) for row in found)
+            advance()
+    return {cell: [rows[cell][seed] for seed in seeds] for cell in cells}
+
+
+def _fly(part: Part) -> list[Row]:
+    cell, seeds = part
+    return [flight.fly(cell, seed) for seed in seeds]
+
+
+def _file(folder: Path, cell: Cell) -> Kept[Row]:
+    made_with: dict[str, Any] = {**msgspec.to_builtins(cell), "software": kept.software()}
+    name = "-".join(
+        [cell.kind, cell.use, cell.intruder, "signal" if cell.signal else "silent"]
+        + ([] if cell.attacked else ["quiet"])
+    )
+    return Kept(folder / f"{name}.jsonl", made_with, Row, lambda row: row.seed)
+
+
+def _run_worst(args: argparse.Namespace, seeds: Sequence[int], jobs: int) -> int:
+    """Search each kind in the encounter of each seed; print what was found, the worst first."""
+    if not 10 <= args.evaluations <= 100_000:
+        raise ConfigError(f"--evaluations: {args.evaluations} is out of range; allowed: 10 to 100000")
+    if args.out is not None:
+        options.make_folder(args.out)
+    items = [(_cell(args, kind), seed) for kind in args.of or ["free"] for seed in seeds]
+    work = functools.partial(_search, harm=args.harm, budget=args.evaluations)
+    results: list[search.Found] = []
+    with progress("searches", len(items)) as advance:
+        for _, found in in_parallel(work, items, jobs, Console(stderr=True)):
+            results.append(found)
+            if args.out is not None:
+                case = kept.Case(
+                    about=f"{found.harm}: the worst of {found.evaluations} flights of a search",
+                    cell=found.cell,
+                    seed=found.seed,
+                    attack=found.attack,
+                    found=found.row,
+                    found_with=kept.software(),
+                )
+                kept.write(args.out / f"{found.cell.kind}-{found.harm}-{found.seed}.json", case)
+            advance()
+    results.sort(key=lambda found: -search.harm_of(found.row, found.harm))
+    if args.json:
+        print(json.dumps(msgspec.to_builtins(results)))
+        return 0
+    for found in results:
+        most = search.harm_of(found.row, found.harm)
+        print(
+            f"{found.cell.kind}, seed {found.seed}, {found.harm}: {abs(most):.2f} in {found.evaluations} "
+            f"flights (drawn: {abs(found.drawn):.2f}); {found.row.use}, {found.row.met}"
+        )
+    return 0
+
+
+def _search(item: Search, harm: search.Harm, budget: int) -> search.Found:
+    cell, seed = item
+    return search.worst(cell, seed, harm, budget)
+
+
+def _cell(args: argparse.Namespace, kind: str) -> Cell:
+    return Cell(kind=kind, use=args.use, intruder=args.intruder, signal=not args.no_signal)

@@ -1,0 +1,100 @@
+"""Searches for the worst attack of a kind with CMA-ES (N. Hansen, "The CMA Evolution Strategy", 2016).
+
+The search runs in the unit cube, one coordinate for each parameter of the kind, so that no attack leaves its
+transmitter's physical limits. Every evaluation flies one encounter. A scene and a seed give the same search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final, Literal
+
+import msgspec
+import numpy as np
+
+from companion.errors import ConfigError
+from ground_tools.campaign.attacks import flight
+from ground_tools.campaign.attacks.kinds import KINDS, Attack, attack_at
+from ground_tools.campaign.attacks.outcome import Row
+from ground_tools.campaign.attacks.scene import Cell
+
+Harm = Literal["separation", "held", "aside", "height", "fence"]
+HARMS: Final = ("separation", "held", "aside", "height", "fence")
+_FIRST_SIGMA: Final = 0.3
+_ALONE_M: Final = 1000.0
+"""Separation of an aircraft that meets nobody."""
+
+
+class Found(msgspec.Struct, frozen=True):
+    """Worst attack that a search found."""
+
+    cell: Cell
+    seed: int
+    harm: Harm
+    evaluations: int
+    drawn: float
+    """Harm of the attack that the seed draws, in the unit of the harm."""
+    attack: Attack
+    row: Row
+
+
+def harm_of(row: Row, harm: Harm) -> float:
+    """How much harm a flight shows, the more the larger; m, or s for "held"."""
+    match harm:
+        case "separation":
+            return -(_ALONE_M if row.separation_m is None else row.separation_m)
+        case "held":
+            return row.longest_s
+        case "aside":
+            return row.aside_m
+        case "height":
+            return max(row.up_m, row.down_m)
+        case "fence":
+            return row.beyond_m or 0.0
+
+
+def worst(
+    cell: Cell, seed: int, harm: Harm, budget: int, told: Callable[[int, float], None] | None = None
+) -> Found:
+    """Search for the attack of the cell's kind that does the most harm in the encounter of a seed.
+
+    Args:
+        budget: number of flights.
+        told: called after each generation with the flights so far and the most harm found.
+
+    Raises:
+        ConfigError: the package `cma` is not installed.
+    """
+    try:
+        import cma
+    except ImportError as error:
+        raise ConfigError("the search needs the package cma: pip install 'dmuca[search]'") from error
+    count = len(KINDS[cell.kind].parameters)
+    drawn = flight.fly(cell, seed)
+    best: tuple[float, Attack, Row] | None = None
+    options: dict[str, Any] = {
+        "bounds": [0.0, 1.0], "seed": seed + 1, "maxfevals": budget, "verbose": -9, "verb_log": 0,
+    }  # fmt: skip
+    start = np.random.default_rng([seed, 23]).random(count)
+    flown = 0
+    while flown < budget:
+        strategy = cma.CMAEvolutionStrategy(start, _FIRST_SIGMA, options)
+        while not strategy.stop() and flown < budget:
+            points = strategy.ask()
+            costs = []
+            for point in points:
+                attack = attack_at(cell.kind, point.tolist())
+                row = flight.fly(cell, seed, attack)
+                found = harm_of(row, harm)
+                costs.append(-found)
+                flown += 1
+                if best is None or found > best[0]:
+                    best = found, attack, row
+            strategy.tell(points, costs)
+            if told is not None and best is not None:
+                told(flown, best[0])
+        # A search that has converged begins anew elsewhere.
+        start = np.random.default_rng([seed, 23, flown]).random(count)
+        options["seed"] += 1
+    assert best is not None
+    return Found(cell, seed, harm, flown, round(harm_of(drawn, harm), 3), best[1], best[2])

@@ -1,0 +1,36 @@
+"""Options that several commands have: a range of seeds, and the number of worker processes."""
+
+from __future__ import annotations
+
+import os
+import re
+
+from companion.errors import ConfigError
+
+_MOST_SEEDS = 1_000_000
+
+
+def seeds_of(text: str) -> range:
+    """The seeds of `--seeds FROM-TO`.
+
+    Raises:
+        ConfigError: the text is no rising range of at most a million seeds.
+    """
+    match = re.fullmatch(r"(\d+)-(\d+)", text)
+    if match is None or not int(match[1]) <= int(match[2]) < int(match[1]) + _MOST_SEEDS:
+        raise ConfigError(
+            f"--seeds: {text} is not allowed; "
+            f"allowed: a rising range of at most {_MOST_SEEDS:,} seeds, such as 1-100"
+        )
+    return range(int(match[1]), int(match[2]) + 1)
+
+
+def processes_of(asked: int | None, option: str = "processes") -> int:
+    """Number of worker processes; one per core if none is asked for.
+
+    Raises:
+        ConfigError: the number is out of range.
+    """
+    if asked is not None and not 1 <= asked <= 1024:
+        raise ConfigError(f"--{option}: {asked} is out of range; allowed: 1 to 1024")
+    return asked or os.cpu_count() or 1
