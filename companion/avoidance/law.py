@@ -91,6 +91,10 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """True: the separations from crewed traffic apply."""
     adsb: bool = False
     """True: received by ADS-B; then `track_id` is its ICAO address."""
+    proven: bool = False
+    """True: a signature verified its identity. That says nothing about the truth of its position."""
+    group: str = ""
+    """Tracks that appeared together or that sound alike share one group; "": the track is alone."""
 
 
 @dataclass(frozen=True, slots=True)

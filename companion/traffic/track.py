@@ -98,6 +98,12 @@ class Track:
         """Flags that are raised now."""
         return frozenset(self.doubts.flags)
 
+    @property
+    def proven(self) -> bool:
+        """Whether a signature verified its identity and nobody else is heard under it."""
+        flags = self.doubts.flags
+        return Flag.SIGNED in flags and Flag.DUPLICATE_IDENTITY not in flags
+
 
 def off(track: Track, fix: Fix, at_s: float) -> float:
     """Horizontal distance (m) of a fix from the track's predicted position at `at_s`."""

@@ -179,6 +179,7 @@ class Traffic:
                 now_s - t.received_s > silent_after(t.past.gap_s),
                 share_of(self._own_rank, _rank(t)),
                 t.vertical_known,
+                proven=t.proven,
             )
             for t in self.tracks.values()
         ]
