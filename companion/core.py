@@ -64,8 +64,9 @@ class Companion:
         self._configured = self._wanted = config
         self._settings = Settings()
         self.own = Ownship()
-        self.traffic = Traffic(config.traffic, config.identity.uas_id, config.identity.ua_type)
-        self.adsb = AdsbTraffic(None if config.identity.icao is None else int(config.identity.icao, 16))
+        identity = config.identity
+        self.traffic = Traffic(config.traffic, identity.uas_id, identity.ua_type, config.avoidance)
+        self.adsb = AdsbTraffic(None if identity.icao is None else int(identity.icao, 16), config.avoidance)
         self.plan: Plan = plan_of(config)
         self._decider = Decider(config, self.own, self.plan.course, self.traffic, self.adsb)
         self.alerts = self._decider.alerts
@@ -185,10 +186,11 @@ class Companion:
             return
         here = own.position_ned_m(now_s)
         self.traffic.note_own(now_s, here, own.velocity_ned_mps)
+        self.adsb.note_own(now_s, here, own.velocity_ned_mps)
         for frame in heard:
             self.traffic.hear(frame, now_s, own.utc_offset_s, own.frame, own.separation_m)
         for report in seen:
-            self.adsb.hear(report, now_s, own.frame, own.separation_m, here)
+            self.adsb.hear(report, now_s, own.frame, own.separation_m)
 
     def _take_settings(self, event: Settings) -> list[Command]:
         """Take in settings. `enable` applies at once, numbers as soon as no law uses the old ones."""
@@ -221,6 +223,7 @@ class Companion:
         """Expire old tracks, and prepare a plan once the vehicle could be taken."""
         self.traffic.expire(now_s)
         commands += self.traffic.flagged(now_s)
+        commands += self.adsb.full.due(now_s)
         own, readiness = self.own, self._readiness
         readiness.look(now_s, shown)
         if readiness.down(now_s, shown):
@@ -236,6 +239,8 @@ class Companion:
             self.config = self._wanted
             self.plan.terms.config = self.config
             self._decider.configure(self.config)
+            for table in (self.traffic, self.adsb):
+                table.judgement.configure(self.config.avoidance)
         if standby and self.waits_for(now_s) is None:
             commands += self.plan.prepare(own, now_s)
             if self.plan.ready and not self.plan.near(own, now_s) and not self.plan.remake(own):

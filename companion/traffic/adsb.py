@@ -13,8 +13,19 @@ import math
 from dataclasses import dataclass
 
 from companion.avoidance.law import Neighbour
+from companion.config import AvoidanceConfig
 from companion.events import AdsbVehicle
 from companion.geometry import LocalFrame, Vec3
+from companion.traffic.eviction import (
+    HOLD_S,
+    FullTable,
+    Judgement,
+    Motion,
+    Ranking,
+    Trust,
+    allowance_of,
+    margin_m,
+)
 from companion.traffic.right_of_way import CREWED, FREE, share_of
 
 SIGMA_M = 15.0
@@ -26,6 +37,10 @@ SIGMA_MPS = 1.5
 BAROMETRIC_M = 300.0
 """Least difference from our own height at which a barometric altitude separates aircraft. It corresponds to
 weather that is 37 hPa off the standard atmosphere."""
+ESTABLISHED = 3
+"""Number of reports from which an aircraft is established."""
+_RANKED_S = 0.2
+"""While the table is half full, all aircraft are ranked this often."""
 MOST = 200
 """Most aircraft held at a time."""
 EXPIRE_S = 15.0
@@ -49,20 +64,37 @@ class _Seen:
     barometric: bool
     crewed: bool
     told: tuple[object, ...]
+    reports: int
+    threat_s: float
+    """When it was last a threat (our monotonic time)."""
     anchor: _Seen | None
     """Earlier report to derive a velocity from; a second or more before this one if there is one."""
 
 
 class AdsbTraffic:
-    """Aircraft received by ADS-B, at most `MOST`. If there are more, the farthest from us are left out.
+    """Aircraft received by ADS-B, at most `MOST`. If there are more, `eviction` says which are left out: one
+    that we are about to meet is not, wherever the others are.
 
     Args:
         own_icao: address of our own transponder, which the own receiver also hears; None: we have none.
+        avoidance: configuration of the law, which says what a threat is.
     """
 
-    def __init__(self, own_icao: int | None) -> None:
+    def __init__(self, own_icao: int | None, avoidance: AvoidanceConfig | None = None) -> None:
+        self.judgement = Judgement(avoidance or AvoidanceConfig())
+        self.full = FullTable("ADS-B traffic", MOST)
         self._own_icao = own_icao
         self._seen: dict[int, _Seen] = {}
+        self._ranking = Ranking()
+        self._ranked_s = -math.inf
+
+    def note_own(self, now_s: float, position: Vec3, velocity: Vec3) -> None:
+        """Store the own state (local NED), by which aircraft are ranked."""
+        self.judgement.position, self.judgement.velocity = position, velocity
+        if 2 * len(self._seen) >= MOST and now_s >= self._ranked_s + _RANKED_S:
+            self._ranked_s = now_s
+            for icao in self._seen:
+                self._rank(icao, now_s)
 
     def hear(
         self,
@@ -70,14 +102,12 @@ class AdsbTraffic:
         now_s: float,
         frame: LocalFrame,
         separation_m: float | None,
-        own_ned_m: Vec3,
     ) -> None:
         """Process one report.
 
         Args:
             frame: local frame (its altitude datum is mean sea level).
             separation_m: height of the geoid above the ellipsoid here; None while unknown.
-            own_ned_m: own position, used to find the farthest aircraft if there are too many.
         """
         if event.icao == self._own_icao:
             return
@@ -96,8 +126,6 @@ class AdsbTraffic:
         if math.hypot(position[0], position[1]) > _MAX_RANGE_M:
             return
         self._seen.pop(event.icao, None)
-        if len(self._seen) >= MOST and not self._make_room(math.dist(position, own_ned_m), now_s, own_ned_m):
-            return
         seen = self._seen[event.icao] = _Seen(
             position=position,
             velocity=event.velocity_ned_mps or (_STILL if before is None else before.velocity),
@@ -106,6 +134,8 @@ class AdsbTraffic:
             barometric=not event.alt_geometric,
             crewed=event.emitter not in _NOT_CREWED,
             told=told,
+            reports=1 if before is None else before.reports + 1,
+            threat_s=-math.inf if before is None else before.threat_s,
             anchor=before,
         )
         if before is not None:
@@ -115,27 +145,48 @@ class AdsbTraffic:
             anchor.anchor = None
             if event.velocity_ned_mps is None and at_s - anchor.at_s >= _APART_S:
                 seen.velocity = _between(anchor, seen)
+        self._rank(event.icao, now_s)
+        if len(self._seen) > MOST:
+            self._make_room(now_s)
 
-    def _make_room(self, distance_m: float, now_s: float, own_ned_m: Vec3) -> bool:
-        """Make room for an aircraft at this distance; False if no other is farther away. Expired aircraft are
-        removed first, so that one that was near long ago does not keep its place."""
+    def _make_room(self, now_s: float) -> None:
+        """Remove one aircraft, unless there are expired ones."""
         self._expire(now_s)
-        if len(self._seen) < MOST:
-            return True
-        away_m = {icao: math.dist(seen.position, own_ned_m) for icao, seen in self._seen.items()}
-        farthest = max(away_m, key=away_m.__getitem__)
-        if away_m[farthest] <= distance_m:
-            return False
-        del self._seen[farthest]
-        return True
+        if len(self._seen) > MOST:
+            victim = self._ranking.first()
+            self.full.note(now_s, self._ranking.standing(victim).threat)
+            self._remove(int(victim, 16))
+
+    def _rank(self, icao: int, now_s: float) -> None:
+        """Place the aircraft where it stands now. Consecutive addresses share an allowance."""
+        seen = self._seen[icao]
+        age_s = max(0.0, now_s - seen.at_s)
+        known = seen.vertical_known
+        if seen.barometric:
+            known = known and abs(seen.position[2] - self.judgement.position[2]) > BAROMETRIC_M
+        margin = margin_m(SIGMA_M, SIGMA_MPS, age_s, 0.0)
+        motion = Motion(seen.position, seen.velocity, age_s, margin, known, seen.crewed)
+        trust = Trust.ESTABLISHED if seen.reports >= ESTABLISHED else Trust.FRESH
+        was_threat = now_s - seen.threat_s <= HOLD_S
+        standing, threat = self.judgement.standing(
+            motion, trust, False, allowance_of(f"{icao >> 8:04X}"), was_threat
+        )
+        if threat:
+            seen.threat_s = now_s
+        self._ranking.place(_name(icao), standing)
+
+    def _remove(self, icao: int) -> None:
+        del self._seen[icao]
+        self._ranking.remove(_name(icao))
 
     def _expire(self, now_s: float) -> None:
         for icao in [i for i, seen in self._seen.items() if now_s - seen.at_s > EXPIRE_S]:
-            del self._seen[icao]
+            self._remove(icao)
 
     def clear(self) -> None:
         """Forget all aircraft, because the local frame of their positions is no longer valid."""
-        self._seen.clear()
+        for icao in list(self._seen):
+            self._remove(icao)
 
     def neighbours(self, now_s: float, own_down_m: float) -> list[Neighbour]:
         """Every aircraft that is not expired, as input of the law. Expired ones are removed.
@@ -156,12 +207,16 @@ class AdsbTraffic:
         ]
 
 
+def _name(icao: int) -> str:
+    return f"{icao:06X}"
+
+
 def _neighbour(icao: int, seen: _Seen, now_s: float, own_down_m: float) -> Neighbour:
     known = seen.vertical_known
     if seen.barometric:
         known = known and abs(seen.position[2] - own_down_m) > BAROMETRIC_M
     return Neighbour(
-        track_id=f"{icao:06X}",
+        track_id=_name(icao),
         position_ned_m=seen.position,
         velocity_ned_mps=seen.velocity,
         age_s=max(0.0, now_s - seen.at_s),

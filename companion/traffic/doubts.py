@@ -21,7 +21,7 @@ from companion.traffic.plausibility import (
 )
 from companion.traffic.sender_details import Source
 from companion.traffic.signatures import FRESH_S, Signatures, Verdict
-from companion.traffic.track import ESTABLISHED, Track, apart
+from companion.traffic.track import ESTABLISHED, Track, apart, beside
 
 _TWIN_S = 5.0
 """Two tracks of one identity that are both received within this time count as two senders."""
@@ -78,7 +78,9 @@ class Judge:
             before = self.tracks.get(track.split_from)
             track.split_from = None
             if before is not None and before.received_s <= track.opened_s:
-                self.note(track, (Flag.JUMP,) * _LEAP)
+                before.left = True
+                if track.leapt:
+                    self.note(track, (Flag.JUMP,) * _LEAP)
         if len(known) > 1 or track.doubts.evidence or track.identity == self.own_uas_id:
             self._twins(track, known, fix, now_s)
 
@@ -89,8 +91,10 @@ class Judge:
         have jumped."""
         here = [t for t in known if t is not track and source.key in t.sources]
         before = max(here, key=lambda t: t.received_s, default=None)
-        if before is not None and apart(before, fix, now_s):
-            track.split_from = before.track_id
+        if before is not None:
+            track.split_from, track.hypothesis = before.track_id, True
+            track.leapt = apart(before, fix, now_s)
+        if track.leapt:
             earlier = max(t.doubts.evidence.get(Flag.JUMP, 0) for t in here)
             self.note(track, (Flag.JUMP,) * (earlier + _HOP))
         self.note(track, message_doubts(fix))
@@ -102,7 +106,7 @@ class Judge:
             self.note(track, _TWIN_FLAG)
             return
         live = [t for t in known if t is not track and now_s - t.received_s <= _TWIN_S]
-        live = [t for t in live if apart(t, fix, now_s)]
+        live = [t for t in live if apart(t, fix, now_s) or (_shares(t, track) and beside(t, fix, now_s))]
         turns = [t for t in live if t.received_s > track.received_s]
         for twin in (track, *turns) if turns else ():
             self.note(twin, _TWIN_FLAG)
@@ -153,3 +157,8 @@ class Judge:
         elif utc_known and now_s - track.opened_s > FRESH_S:
             bad = (Flag.UNSIGNED,)
         self.note(track, bad, _SIGNER_FLAGS)
+
+
+def _shares(a: Track, b: Track) -> bool:
+    """Whether one radio address feeds both tracks."""
+    return any(key in b.sources for key in a.sources)

@@ -81,6 +81,17 @@ MESSAGE_FLAGS: Final = frozenset(
     )
 )
 """Flags that every new message is evidence for or against."""
+UNTRUSTED: Final = frozenset(
+    (
+        Flag.DUPLICATE_IDENTITY,
+        Flag.JUMP,
+        Flag.VELOCITY_MISMATCH,
+        Flag.IMPOSSIBLE_VALUES,
+        Flag.BAD_SIGNATURE,
+    )
+)
+"""Flags that end the trust in a track: it is not proven, and in a full table it counts as one that was heard
+only a few times. It is avoided as before."""
 _STATUS_FLAG: Final = {
     Status.EMERGENCY: Flag.EMERGENCY,
     Status.REMOTE_ID_SYSTEM_FAILURE: Flag.REMOTE_ID_FAILURE,

@@ -54,33 +54,53 @@ class Source:
     checks_s: float = -math.inf
     """Signature checks that are left to this address, and when that was computed."""
     reception: Reception = field(default_factory=Reception)
+    tracks: int = 0
+    """Number of tracks that it feeds."""
 
 
 @dataclass(slots=True)
 class Sources:
     """Radio addresses that were heard, at most `most`. The one that has been silent longest is removed
-    first."""
+    first, and those that feed a track last: whoever churns through addresses makes nobody forget theirs."""
 
     most: int
-    _held: OrderedDict[str, Source] = field(default_factory=OrderedDict)
+    _idle: OrderedDict[str, Source] = field(default_factory=OrderedDict)
     """OrderedDict, because finding the first entry of a plain dict is slow after many deletions before it."""
+    _feeding: OrderedDict[str, Source] = field(default_factory=OrderedDict)
 
     def __len__(self) -> int:
         """Number of addresses held."""
-        return len(self._held)
+        return len(self._idle) + len(self._feeding)
 
     def at(self, transport: str, address: str) -> Source:
         """The source of a frame. A new one is added."""
         key = f"{transport}/{address}"
-        source = self._held.get(key)
-        if source is not None:
-            self._held.move_to_end(key)
-            return source
-        if len(self._held) >= self.most:
-            self._held.popitem(last=False)
-        source = self._held[key] = Source(key, About(transport, address))
+        for part in (self._feeding, self._idle):
+            source = part.get(key)
+            if source is not None:
+                part.move_to_end(key)
+                return source
+        if len(self) >= self.most:
+            (self._idle or self._feeding).popitem(last=False)
+        source = self._idle[key] = Source(key, About(transport, address))
         return source
 
     def held(self, key: str) -> Source | None:
         """The source of a key; None if it is not held."""
-        return self._held.get(key)
+        return self._feeding.get(key) or self._idle.get(key)
+
+    def feed(self, key: str) -> None:
+        """Note that an address feeds one more track."""
+        source = self.held(key)
+        if source is not None:
+            source.tracks += 1
+            if source.tracks == 1:
+                self._feeding[key] = self._idle.pop(key)
+
+    def release(self, key: str) -> None:
+        """Note that an address feeds one track less."""
+        source = self.held(key)
+        if source is not None and source.tracks:
+            source.tracks -= 1
+            if not source.tracks:
+                self._idle[key] = self._feeding.pop(key)

@@ -10,12 +10,75 @@ from companion.avoidance import kernels
 from companion.geometry import Vec3
 from companion.remote_id.messages import Location
 from companion.traffic.about import About
+from companion.traffic.eviction import Trust
 from companion.traffic.fix import Fix
-from companion.traffic.plausibility import Doubts, Flag, MotionWindow, noise_m
+from companion.traffic.plausibility import UNTRUSTED, Doubts, Flag, MotionWindow, noise_m
 
 _CLOCKLESS_S = 0.5
+CLOCKLESS_MOST_S = 1.0
+"""How much two delays differ, where messages are dated by their reception."""
+_CLOCK_S = 0.5
+"""By how much a timestamp may be wrong."""
+_LEAD_S, _DELAY_S, _CLOCK_MEMORY_S = 2.0, 3.0, 10.0
+_LEADING_S = 1.5
+"""By how much the lead of a clock may be wrong: it is learnt from messages of unknown delay."""
+_QUANTUM_S = 0.1
+"""Resolution of a timestamp."""
+_DECLARED_S = 2.0
 ESTABLISHED = 3
 """Number of messages from which a track is established. A full table removes established tracks last."""
+
+
+@dataclass(slots=True)
+class Wander:
+    """By how much messages miss the predicted place, beyond what noise and manoeuvres explain.
+
+    Two senders under one name and address that are too near to each other for two tracks drag one track to
+    and fro. Misses that noise does not explain are summed up; the sum fades. Above `_WANDERS` the largest
+    recent miss counts as an error of the position.
+    """
+
+    surprise: float = 0.0
+    miss_m: float = 0.0
+    at_s: float = -math.inf
+
+    def note(self, miss_m: float, elapsed_s: float, sigma_m: float, now_s: float) -> None:
+        """Take in the next message.
+
+        Args:
+            miss_m: horizontal distance from the predicted place.
+            elapsed_s: time of the prediction.
+            sigma_m: declared errors of both for each axis.
+        """
+        unexplained_m = miss_m - elapsed_s * (_TURNS_MPS + _TURNS_MPS2 * elapsed_s)
+        surprise = 0.0
+        if unexplained_m > 0.0:
+            surprise = 0.5 * (unexplained_m / max(sigma_m, _LEAST_SIGMA_M)) ** 2 - _EXPECTED
+        if surprise <= 0.0 and self.surprise == 0.0:
+            return
+        fade = math.exp((self.at_s - now_s) / _WANDER_MEMORY_S)
+        self.surprise, self.miss_m, self.at_s = fade * self.surprise, fade * self.miss_m, now_s
+        if surprise > 0.0:
+            self.surprise += min(surprise, _MOST_SURPRISE)
+            self.miss_m = max(self.miss_m, miss_m)
+        elif self.surprise < _FORGOTTEN:
+            self.surprise = self.miss_m = 0.0
+
+    @property
+    def error_m(self) -> float:
+        """Error of the position that the misses show; 0 if they can be noise."""
+        return self.miss_m if self.surprise > _WANDERS else 0.0
+
+
+_TURNS_MPS, _TURNS_MPS2 = 2.0, 5.0
+_WANDER_MEMORY_S = 10.0
+_EXPECTED = 5.0
+"""Half of the squared miss, in standard deviations, from which a message is a surprise. White noise reaches
+it once in 150 messages, and then exceeds it by 1 on average."""
+_WANDERS, _MOST_SURPRISE = 12.0, 6.0
+"""One message elsewhere makes two surprises, there and back; they do not suffice."""
+_FORGOTTEN = 0.01
+_LEAST_SIGMA_M = 2.0
 
 
 @dataclass(slots=True, eq=False)
@@ -47,8 +110,30 @@ class Track:
     beside_s: float = -math.inf
     """When there was last another track of its identity (our monotonic time)."""
     split_from: str | None = None
-    """Track from which this one was split: one radio address sent positions too far apart for one
-    aircraft."""
+    """Track from which this one was split until it is established: one radio address sent what cannot be
+    from one aircraft."""
+    leapt: bool = False
+    """The split was by a distance that no aircraft can fly."""
+    hypothesis: bool = False
+    """It was split from another track, and is not established yet."""
+    left: bool = False
+    """A track that was split from it is established, and it was not heard since: that is where the aircraft
+    is now."""
+    group: str = ""
+    """What it appeared together with, or sounds like (`eviction`)."""
+    allowance: int = 0
+    """Number of the allowance that it shares with what sounds alike."""
+    together: bool = False
+    """It appeared in a burst of new tracks."""
+    threat_s: float = -math.inf
+    """When it was last a threat (our monotonic time)."""
+    base_lead_s: float = 0.0
+    """Lead from which those of later messages are told to be of the same clock (`note_lead`)."""
+    clock_s: float = -math.inf
+    """When a message was last dated by that clock (our monotonic time)."""
+    wander: Wander = field(default_factory=Wander)
+    declared_s: float | None = None
+    """Time of the last message that declared a velocity (our monotonic time)."""
     doubts: Doubts = field(default_factory=Doubts)
     vouched_s: float = -math.inf
     """When a signature last proved its identity (our monotonic time)."""
@@ -96,6 +181,31 @@ class Track:
         self.past = kernels.Past._make(noted)
         self.silent_after_s = kernels.silent_after(self.past.gap_s)
 
+    def note_lead(self, lead_s: float, now_s: float) -> bool:
+        """Learn from a timestamp; False if it is from another clock and does not date the message.
+
+        A clock leads ours by a constant, less the delay of the message. Of two clocks the one that leads less
+        is believed, as long as it is heard: what the other dates ahead must not make its messages old.
+        """
+        if lead_s > self.base_lead_s + _LEAD_S:
+            if now_s - self.clock_s <= _CLOCK_MEMORY_S:
+                return False
+            self.base_lead_s = lead_s
+        elif lead_s < self.base_lead_s - _DELAY_S and now_s + lead_s > self.sample_s:
+            self.base_lead_s = lead_s
+            self.leads_s.clear()
+        self.clock_s = now_s
+        self.leads_s.append(lead_s)
+        return True
+
+    def note_miss(self, fix: Fix, sample_s: float, now_s: float) -> None:
+        """Compare a message with the place that is predicted for its time."""
+        if not self.velocity_known:
+            return
+        clock_s = _QUANTUM_S if fix.stamp_s is not None and self.past_clocked else CLOCKLESS_MOST_S
+        miss_m = off(self, fix, sample_s) - clock_s * math.hypot(*self.velocity_ned_mps)
+        self.wander.note(miss_m, abs(sample_s - self.sample_s), math.hypot(self.sigma_m, fix.sigma_m), now_s)
+
     @property
     def flags(self) -> frozenset[Flag]:
         """Flags that are raised now."""
@@ -103,8 +213,17 @@ class Track:
 
     @property
     def proven(self) -> bool:
-        """Whether a fresh signature proves its identity. It does not prove that what it reports is true."""
-        return Flag.SIGNED in self.doubts.flags
+        """Whether a signature verified its identity and nobody else is heard under it."""
+        flags = self.doubts.flags
+        return Flag.SIGNED in flags and not flags & UNTRUSTED
+
+    @property
+    def trust(self) -> Trust:
+        """How far it is trusted to be an aircraft, for its place in a full table."""
+        if self.proven:
+            return Trust.PROVEN
+        known = self.messages >= ESTABLISHED and not self.doubts.flags & UNTRUSTED
+        return Trust.ESTABLISHED if known else Trust.FRESH
 
 
 def off(track: Track, fix: Fix, at_s: float) -> float:
@@ -118,6 +237,32 @@ def reach(elapsed_s: float, noise: float) -> float:
     return 20.0 + 4.0 * noise + 8.0 * elapsed_s + 5.0 * elapsed_s * elapsed_s
 
 
+def beyond(track: Track, fix: Fix, at_s: float) -> float:
+    """Horizontal distance (m) of a fix from where the track's aircraft can be at `at_s` if it flies as
+    reported.
+
+    That is a line: both clocks may be off, and an aircraft that reports a wrong velocity is between its last
+    place and the predicted one.
+    """
+    p, v, along = track.position_ned_m, track.velocity_ned_mps, at_s - track.sample_s
+    north, east = fix.position[0] - p[0], fix.position[1] - p[1]
+    clock_s = _CLOCK_S
+    if fix.stamp_s is None or not track.past_clocked:
+        clock_s = CLOCKLESS_MOST_S
+    elif lead(track.leads_s) > _CLOCK_S:
+        clock_s = _LEADING_S
+    v2 = v[0] * v[0] + v[1] * v[1]
+    t = (north * v[0] + east * v[1]) / v2 if v2 > 0.0 else 0.0
+    t = min(max(t, min(0.0, along) - clock_s), max(0.0, along) + clock_s)
+    return math.hypot(north - t * v[0], east - t * v[1])
+
+
+def flown(elapsed_s: float, noise: float) -> float:
+    """How far (m) an aircraft that is alone under its name and address may be from there: noise, an error of
+    the velocity, and 10 m/s^2 in any direction."""
+    return near(noise) + elapsed_s * (4.0 + 5.0 * elapsed_s)
+
+
 def near(noise: float) -> float:
     """How far (m) from a track's predicted position a message is taken for that aircraft's even if it might
     come from another one."""
@@ -129,6 +274,13 @@ def apart(track: Track, fix: Fix, now_s: float) -> bool:
     at_s = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
     noise = noise_m(track.content) + noise_m(fix.content)
     return off(track, fix, at_s) > reach(abs(at_s - track.sample_s), noise)
+
+
+def beside(track: Track, fix: Fix, now_s: float) -> bool:
+    """Whether track and fix, if they are from one address, are two senders: an aircraft is near where it is
+    predicted."""
+    at_s = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
+    return off(track, fix, at_s) > near(noise_m(track.content) + noise_m(fix.content))
 
 
 def lead(leads_s: deque[float]) -> float:
@@ -147,11 +299,14 @@ def from_positions(track: Track, fix: Fix, sample_s: float) -> tuple[Vec3, bool]
     """Velocity for a sender that declares none, and whether it is known.
 
     It is computed from the fix and the position held in `Track.past`, which is old enough at any message
-    rate.
+    rate. A sender that has declared velocities before is not believed to have changed its own because one
+    message leaves it out.
     """
     past = track.past
     elapsed = (sample_s if fix.stamp_s is None else fix.stamp_s) - past.time_s
     if not 0.5 <= elapsed < math.inf or track.past_clocked != (fix.stamp_s is not None):
+        return track.velocity_ned_mps, track.velocity_known
+    if track.declared_s is not None and sample_s - track.declared_s <= _DECLARED_S:
         return track.velocity_ned_mps, track.velocity_known
     p = fix.position
     sinking = (p[2] - past.d) / elapsed if track.past_vertical and fix.vertical_known else 0.0

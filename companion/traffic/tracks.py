@@ -16,45 +16,40 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import dataclass
 
-from companion.avoidance.law import Neighbour
-from companion.config import TrafficConfig
-from companion.events import RemoteIdHeard, TrackFlagged
+from companion.avoidance.law import SIGMAS, Neighbour
+from companion.config import AvoidanceConfig, TrafficConfig
+from companion.events import RemoteIdHeard, Say, TrackFlagged
 from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.authentication import SPECIFIC_METHOD, Assembler, AuthenticationData
 from companion.remote_id.drip.trust import Trust
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, UaType
 from companion.traffic.about import About
 from companion.traffic.doubts import Judge
-from companion.traffic.eviction import Ranking
+from companion.traffic.eviction import Judgement, allowance_of, sound_of
 from companion.traffic.fix import Fix, make_fix
+from companion.traffic.matching import match, same_aircraft
 from companion.traffic.own_flight import OwnFlight
-from companion.traffic.plausibility import Flag, MotionWindow, status_doubts
+from companion.traffic.plausibility import Flag, MotionWindow, Reports, status_doubts
 from companion.traffic.reception import Reception
 from companion.traffic.right_of_way import rank_of, share_of
-from companion.traffic.sender_details import Source, Sources
+from companion.traffic.sender_details import Source
 from companion.traffic.signatures import Signatures
-from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, near, off, reach, same
+from companion.traffic.table import ADDRESSES_PER_TRACK, TRACKS_PER_IDENTITY, Table
+from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, same
 
 _MAX_RANGE_M = 50_000.0
 """Positions farther from us than this are implausible: Remote ID does not reach that far, and the local frame
 is too inaccurate there."""
-_ADDRESSES_PER_TRACK = 4
-_TRACKS_PER_IDENTITY = 16
-"""Most tracks of one identity. Among this many forged copies a second, the owner of the identity still
-becomes established with one message a second."""
 _LEADS = 5
-_JOINED_WITHIN_M = 15.0
-"""Two tracks are merged only if they are this near to each other. An aircraft's positions on two transports
-come from one GNSS receiver. With a larger distance, a sender with a copied identity could remove another's
-track."""
-_TWIN_MEMORY_S = 60.0
-"""For this long after another track of the same identity was there, a track is matched only to messages near
-it; others may still be from the other aircraft."""
 _RANKED_EVERY = 8
-"""A track is ranked for eviction every so many messages; its distance changes little in between."""
+"""A track is ranked for eviction every so many messages; its standing changes little in between."""
+_GHOST_S = 6.0
+"""A track that nobody confirmed after it was split from another, or that its aircraft has left for a split
+one, is removed after this long without a message."""
+_CROWD = 5
+"""Tracks that sound alike are a group from this many on."""
 
 
 @dataclass(slots=True)
@@ -79,26 +74,35 @@ class TrafficCounts:
 class Traffic:
     """The table of all tracks from Remote ID.
 
+    Args:
+        avoidance: configuration of the law, which says what a threat is.
+
     Raises:
         ConfigError: an entry of `config.keys` or `config.anchors` is not a valid public key.
     """
 
-    def __init__(self, config: TrafficConfig, own_uas_id: str, own_type: UaType | None = None) -> None:
+    def __init__(
+        self,
+        config: TrafficConfig,
+        own_uas_id: str,
+        own_type: UaType | None = None,
+        avoidance: AvoidanceConfig | None = None,
+    ) -> None:
         self.config = config
         self._own_rank = rank_of(own_type, None)
         self.own_uas_id = own_uas_id
         self.own_addresses: tuple[str, ...] = ()
         """Radio addresses of our own frames, which a second own receiver may hear."""
         self.counts = TrafficCounts()
-        self.tracks: dict[str, Track] = {}
-        self._by_identity: dict[str, list[Track]] = {}
-        self._ranking = Ranking()
-        self._sources = Sources(_ADDRESSES_PER_TRACK * config.max_tracks)
         self._assembler = Assembler()
+        reports = Reports()
+        self.judgement = Judgement(avoidance or AvoidanceConfig())
+        self._table = Table(config.max_tracks, self.judgement, reports.forget)
+        self.tracks = self._table.tracks
         trust = Trust(config.keys, config.anchors)
         self.signatures = Signatures(trust) if trust else None
         """Verifies signatures; None if neither keys nor anchors are configured."""
-        self._judge = Judge(own_uas_id, self.tracks, self.signatures)
+        self._judge = Judge(own_uas_id, self.tracks, self.signatures, reports)
         self._split_number = 1
         """Number of the last split track. It only increases, so that no track id is tried twice."""
         self._own = OwnFlight()
@@ -106,6 +110,7 @@ class Traffic:
     def note_own(self, now_s: float, position: Vec3, velocity: Vec3) -> None:
         """Store the own state (local NED), to recognise echoes of own messages and to rank tracks."""
         self._own.note(now_s, position, velocity)
+        self._table.note_own(now_s, position, velocity)
 
     def hear(
         self,
@@ -122,7 +127,7 @@ class Traffic:
             frame: local frame (its altitude datum is mean sea level).
             separation_m: height of the geoid above the ellipsoid here; None while unknown.
         """
-        source = self._sources.at(heard.transport, heard.address)
+        source = self._table.sources.at(heard.transport, heard.address)
         source.about.rssi_dbm = heard.rssi_dbm
         locations = []
         # Authentication that this frame completes, and whether it ends a set of which pages are missing.
@@ -131,7 +136,7 @@ class Traffic:
             if type(message) is Location:
                 locations.append(message)
             elif type(message) is BasicId:
-                self._learn_name(source, message)
+                self._learn_name(source, message, now_s)
             elif type(message) is Authentication:
                 whole = self._add_page(source, message, heard, now_s) or whole
                 torn = torn or (self._assembler.gave_up and message.auth_type == SPECIFIC_METHOD)
@@ -166,21 +171,26 @@ class Traffic:
         vouched = self.signatures is not None and self.signatures.is_vouched(source, now_s)
         return self._assembler.add_page(source.key, page, now_s, counter, vouched=vouched)
 
-    def flagged(self, now_s: float) -> list[TrackFlagged]:
-        """Flags that were raised or cleared and are to be logged now; the rate of reports is limited."""
-        return self._judge.reports.due(now_s)
+    def flagged(self, now_s: float) -> list[TrackFlagged | Say]:
+        """Flags that were raised or cleared and are to be logged now, and the alert of a full table; the rate
+        of both is limited."""
+        return [*self._judge.reports.due(now_s), *self._table.full.due(now_s)]
 
     def clear(self) -> None:
         """Remove all tracks, because the local frame of their positions is no longer valid."""
         for track in list(self.tracks.values()):
-            self._remove(track)
+            self._table.remove(track)
         self._own.clear()
 
     def expire(self, now_s: float) -> None:
-        """Remove tracks older than `expire_after_s`."""
+        """Remove tracks older than `expire_after_s`, and ghosts (`_GHOST_S`)."""
         limit = self.config.expire_after_s
-        for track in [t for t in self.tracks.values() if now_s - t.sample_s > limit]:
-            self._remove(track)
+        for track in [
+            t
+            for t in self.tracks.values()
+            if now_s - t.sample_s > limit or ((t.hypothesis or t.left) and now_s - t.received_s > _GHOST_S)
+        ]:
+            self._table.remove(track)
 
     def neighbours(self, now_s: float) -> list[Neighbour]:
         """Every track, as input of the law."""
@@ -190,96 +200,64 @@ class Traffic:
                 t.position_ned_m,
                 t.velocity_ned_mps,
                 max(0.0, now_s - t.sample_s),
-                t.sigma_m,
+                t.sigma_m + t.wander.error_m / SIGMAS,
                 t.sigma_mps,
                 t.past.growth_mps,
                 now_s - t.received_s > t.silent_after_s,
                 share_of(self._own_rank, _rank(t)),
                 t.vertical_known,
+                proven=t.proven,
+                group=t.group if self._table.groups[t.group] >= _CROWD else "",
             )
             for t in self.tracks.values()
         ]
 
     def receptions(self, track: Track) -> list[tuple[str, Reception]]:
         """Transport and reception statistics of each radio address of a track."""
-        held = (self._sources.held(key) for key in track.sources)
+        held = (self._table.sources.held(key) for key in track.sources)
         return [(s.about.transport, s.reception) for s in held if s is not None]
-
-    # ------------------------------------------------------------ the table
-
-    def _add(self, track: Track) -> None:
-        self.tracks[track.track_id] = track
-        self._by_identity.setdefault(track.identity, []).append(track)
-        self._rank(track)
-
-    def _remove(self, track: Track) -> None:
-        del self.tracks[track.track_id]
-        self._ranking.remove(track.track_id)
-        self._judge.reports.forget(track.track_id)
-        twins = self._by_identity[track.identity]
-        twins.remove(track)
-        if not twins:
-            del self._by_identity[track.identity]
-
-    def _rank(self, track: Track) -> None:
-        fresh = track.messages < ESTABLISHED
-        self._ranking.place(track.track_id, fresh, math.dist(track.position_ned_m, self._own.position))
 
     def _of(self, source: Source) -> list[Track]:
         """Tracks that this address feeds."""
-        twins = self._by_identity.get(source.identity or source.key, ())
-        return [t for t in twins if source.key in t.sources]
+        names = (source.key,) if source.identity is None else (source.identity, source.key)
+        return [t for name in names for t in self._table.by_identity.get(name, ()) if source.key in t.sources]
 
     # ------------------------------------------------------------ names
 
-    def _learn_name(self, source: Source, message: BasicId) -> None:
+    def _learn_name(self, source: Source, message: BasicId, now_s: float) -> None:
         if message.id_type is IdType.NONE or not message.uas_id:
             return
         if source.identity is None:
             source.identity = message.uas_id
-            self._rename(source.key, message.uas_id)
+            self._rename(source.key, message.uas_id, now_s)
         source.about.keep_id(message, source.identity)
 
-    def _rename(self, old: str, identity: str) -> None:
-        """Give the tracks of an address their identity once it is known, up to `_TRACKS_PER_IDENTITY`.
+    def _rename(self, old: str, identity: str, now_s: float) -> None:
+        """Give the tracks of an address their identity once it is known, up to `TRACKS_PER_IDENTITY`.
 
         On BLE 4 an aircraft's Locations may arrive before its Basic ID. If another transport already
         delivered the same aircraft with its identity, both tracks are merged, so that no ghost track remains.
         """
-        for track in list(self._by_identity.get(old, ())):
-            others = [t for t in self._by_identity.get(identity, ()) if t is not track]
-            known = self._same_aircraft(track, others)
+        for track in list(self._table.by_identity.get(old, ())):
+            others = [t for t in self._table.by_identity.get(identity, ()) if t is not track]
+            known = same_aircraft(track, others)
             if known is not None and not track.doubts.flags:
-                self._remove(track)
+                self._table.remove(track)
+                for key in track.sources:
+                    if key not in known.sources:
+                        self._table.feed(known, key)
                 known.take_over(track)
-                self._rank(known)
+                self._table.rank(known, now_s)
                 continue
-            if len(self._by_identity.get(identity, ())) >= _TRACKS_PER_IDENTITY:
+            if len(self._table.by_identity.get(identity, ())) >= TRACKS_PER_IDENTITY:
                 return
-            self._remove(track)
+            self._table.remove(track)
             track.identity = identity
             if track.track_id == old and identity not in self.tracks:
                 track.track_id = identity
-            self._add(track)
+            self._table.add(track, now_s)
             if track.doubts.flags != track.doubts.reported:
                 self._judge.reports.mark(track.track_id, track.doubts)
-
-    def _same_aircraft(self, track: Track, others: Iterable[Track]) -> Track | None:
-        """The track among `others` that is the same aircraft as `track`; the nearest if there are several.
-
-        This is stricter than `_match`, because a merge gives up one of two positions.
-        """
-        best, least = None, _JOINED_WITHIN_M
-        for other in others:
-            earlier, later = sorted((track, other), key=lambda t: t.sample_s)
-            elapsed = later.sample_s - earlier.sample_s
-            moved = [
-                p + elapsed * v for p, v in zip(earlier.position_ned_m, earlier.velocity_ned_mps, strict=True)
-            ]
-            away = math.dist(moved[:2], later.position_ned_m[:2])
-            if away < least:
-                best, least = other, away
-        return best
 
     # ------------------------------------------------------------ one Location
 
@@ -303,9 +281,13 @@ class Traffic:
     def _take(self, source: Source, fix: Fix, now_s: float) -> Track | None:
         """Use a fix; returns the track that it updated or opened, if any."""
         identity = source.identity or source.key
-        known = self._by_identity.get(identity, [])
-        track, away = self._match(known, source, fix, now_s)
-        ours = identity == self.own_uas_id or source.about.address in self.own_addresses
+        known = self._table.by_identity.get(identity, [])
+        if len(known) >= TRACKS_PER_IDENTITY and not any(source.key in t.sources for t in known):
+            # Copies of its name must not keep an aircraft out: it goes by its address.
+            known = self._table.by_identity.get(source.key, [])
+            identity = source.key
+        track, away = match(known, source, fix, now_s, self.config.max_speed_mps)
+        ours = source.identity == self.own_uas_id or source.about.address in self.own_addresses
         if ours and self._own.distance_m(fix, now_s) < away:
             self.counts.own_echo += 1
             return None
@@ -315,15 +297,23 @@ class Traffic:
         track.fed_by[source.about.transport] = source.key
         if source.key not in track.sources:
             # Also if the content is not new: on two transports the same message arrives twice.
-            track.sources.append(source.key)
+            self._table.feed(track, source.key)
+        elif not source.tracks:
+            self._table.sources.feed(source.key)
         if same(track.content, fix.content):
             # A repeated advertisement without new content tells nothing about the present, nor about clocks.
             self.counts.old += 1
             return None
+        return self._update(track, known, source, fix, now_s)
+
+    def _update(
+        self, track: Track, known: list[Track], source: Source, fix: Fix, now_s: float
+    ) -> Track | None:
+        """Update a track with a message of new content; None if the message is older than the track."""
         sample_s = now_s
-        if fix.stamp_s is not None:
-            track.leads_s.append(fix.stamp_s - now_s)
+        if fix.stamp_s is not None and track.note_lead(fix.stamp_s - now_s, now_s):
             sample_s = min(fix.stamp_s - lead(track.leads_s), now_s)
+        track.note_miss(fix, sample_s, now_s)
         if sample_s <= track.sample_s:
             self.counts.old += 1
             return None
@@ -331,6 +321,8 @@ class Traffic:
         velocity, velocity_known = fix.velocity, True
         if velocity is None:
             velocity, velocity_known = from_positions(track, fix, sample_s)
+        else:
+            track.declared_s = sample_s
         track.position_ned_m, track.velocity_ned_mps = fix.position, velocity
         track.velocity_known = velocity_known
         track.sample_s, track.received_s = sample_s, now_s
@@ -338,61 +330,38 @@ class Traffic:
         track.vertical_known = fix.vertical_known
         track.remember(fix)
         track.messages += 1
+        track.left = False
+        track.hypothesis = track.hypothesis and track.messages < ESTABLISHED
         track.about.update(source.about)
         if track.messages == ESTABLISHED or track.messages % _RANKED_EVERY == 0:
-            self._rank(track)
+            self._table.rank(track, now_s)
         self.counts.updates += 1
         return track
-
-    def _match(
-        self, known: list[Track], source: Source, fix: Fix, now_s: float
-    ) -> tuple[Track | None, float]:
-        """The track of this identity whose aircraft can have flown to the fix, and its distance from it (m).
-
-        Tracks that the same address fed last come first, then the nearest. Without such a track, the result
-        is None and infinity.
-
-        After some silence one aircraft can be nearly anywhere. If two aircraft use the identity, or the
-        address is new to the track, the fix must be near the track; otherwise one track would jump between
-        two aircraft, and one of them would be lost. An aircraft that changes its address does not return to
-        the old one. So if two addresses take turns on a transport, each gets its own track; otherwise one
-        sender could pull the track away from the other.
-        """
-        at = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
-        best, least = None, (True, math.inf)
-        for track in known:
-            elapsed, noise = abs(at - track.sample_s), fix.sigma_m + track.sigma_m
-            away, allowed = off(track, fix, at), reach(elapsed, noise)
-            if len(known) > 1:
-                track.beside_s = now_s
-            twins = now_s - track.beside_s <= _TWIN_MEMORY_S
-            others = track.fed_by.get(source.about.transport) != source.key
-            if others and source.key in track.sources:
-                continue
-            if not track.velocity_known:
-                allowed += self.config.max_speed_mps * elapsed
-            elif twins or others:
-                allowed = near(noise)
-            if away <= allowed and (others, away) < least:
-                best, least = track, (others, away)
-        return best, least[1]
 
     def _open(
         self, identity: str, known: list[Track], source: Source, fix: Fix, now_s: float
     ) -> Track | None:
-        if len(known) >= _TRACKS_PER_IDENTITY:
-            known = list(known)
-            self._remove(max(known, key=self._dispensable))
-            self.counts.evicted += 1
-        elif len(self.tracks) >= self.config.max_tracks and not self._make_room(fix):
+        others = list(known)
+        track = self._new_track(identity, source, fix, now_s)
+        self._table.add(track, now_s)
+        victim = self._table.make_room(track, others, now_s)
+        if victim is track:
             self.counts.refused_full += 1
             return None
+        self.counts.evicted += victim is not None
+        self.counts.split += bool(others)
+        self._judge.first_message(track, known, source, fix, now_s)
+        self.counts.updates += 1
+        return track
+
+    def _new_track(self, identity: str, source: Source, fix: Fix, now_s: float) -> Track:
         track_id = identity
         while track_id in self.tracks:
             self._split_number += 1
             track_id = f"{identity}#{self._split_number}"
-        self.counts.split += bool(known)
         first_lead_s = 0.0 if fix.stamp_s is None else fix.stamp_s - now_s
+        together = self._table.burst.note(now_s)
+        sound = sound_of(source.about.transport, source.about.address, source.about.rssi_dbm)
         track = Track(
             track_id=track_id,
             identity=identity,
@@ -407,40 +376,21 @@ class Traffic:
             content=fix.content,
             leads_s=deque([first_lead_s], maxlen=_LEADS),
             about=About(source.about.transport, source.about.address),
-            sources=deque([source.key], maxlen=_ADDRESSES_PER_TRACK),
+            sources=deque([source.key], maxlen=ADDRESSES_PER_TRACK),
             fed_by={source.about.transport: source.key},
             motion=MotionWindow(fix, now_s),
             opened_s=now_s,
+            group="together" if together else sound,
+            allowance=allowance_of(sound),
+            together=together,
+            base_lead_s=first_lead_s,
+            clock_s=now_s,
+            declared_s=None if fix.velocity is None else now_s,
         )
         source.fed.append(track)
         track.about.update(source.about)
         track.remember(fix)
-        self._add(track)
-        self._judge.first_message(track, known, source, fix, now_s)
-        self.counts.updates += 1
         return track
-
-    def _dispensable(self, track: Track) -> tuple[bool, float]:
-        """Sort key of the tracks of one identity; the track with the greatest key is removed.
-
-        That is the fresh track that has been silent longest or, if all are established, the farthest. Among
-        established tracks silence does not count, because a copied identity that jumps about is heard more
-        often than its owner.
-        """
-        if track.messages < ESTABLISHED:
-            return True, -track.received_s
-        return False, math.dist(track.position_ned_m, self._own.position)
-
-    def _make_room(self, fix: Fix) -> bool:
-        """Remove one track for a new one: fresh tracks before established ones, the farthest first. False if
-        the new one is farther away than that track."""
-        own = self._own.position
-        victim = self.tracks[self._ranking.first()]
-        if math.dist(victim.position_ned_m, own) < math.dist(fix.position, own):
-            return False
-        self._remove(victim)
-        self.counts.evicted += 1
-        return True
 
 
 def _rank(track: Track) -> int:

@@ -22,7 +22,18 @@ from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
-from companion.traffic import doubts, eviction, fix, plausibility, reception, sender_details, track, tracks
+from companion.traffic import (
+    doubts,
+    eviction,
+    fix,
+    matching,
+    plausibility,
+    reception,
+    sender_details,
+    table,
+    track,
+    tracks,
+)
 from ground_tools.campaign import compiled, flight, generators, outcome, vehicles
 from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.generators import draw
@@ -57,8 +68,10 @@ _TRACKS = (
     fix,
     geometry,
     doubts,
+    matching,
     plausibility,
     reception,
+    table,
     track,
     tracks,
     twin_flight,

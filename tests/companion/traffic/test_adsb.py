@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.events import AdsbVehicle
+from companion.events import AdsbVehicle, Say
 from companion.traffic.adsb import BAROMETRIC_M, EXPIRE_S, MOST, AdsbTraffic
 from tests.support.place import HOME
 
@@ -37,10 +37,12 @@ class Sky:
         self.traffic = AdsbTraffic(own_icao)
         self.separation_m = separation_m
         self.own_ned_m = (0.0, 0.0, OWN_DOWN_M)
+        self.own_velocity_ned_mps = (0.0, 0.0, 0.0)
 
     def take(self, now_s, *reports):
+        self.traffic.note_own(now_s, self.own_ned_m, self.own_velocity_ned_mps)
         for one in reports:
-            self.traffic.hear(one, now_s, HOME, self.separation_m, self.own_ned_m)
+            self.traffic.hear(one, now_s, HOME, self.separation_m)
 
     def at(self, now_s, own_down_m=OWN_DOWN_M):
         return self.traffic.neighbours(now_s, own_down_m)
@@ -308,3 +310,41 @@ def test_who_only_looks_forgets_nobody():
     late_s = 10.0 + EXPIRE_S + 1.0
     assert sky.traffic.look(late_s, OWN_DOWN_M) == []
     assert sky.only(10.0)
+
+
+def ghost(k, position, velocity, **over):
+    return report(*position, icao=0xA00000 + k, velocity_ned_mps=velocity, **over)
+
+
+@pytest.mark.parametrize("established", [False, True])
+def test_two_hundred_ghosts_do_not_displace_the_helicopter_that_we_are_about_to_meet(established):
+    """They fly along with us, nearer than it, for ever; it is heard once a second."""
+    sky = Sky()
+    sky.own_velocity_ned_mps = (10.0, 0.0, 0.0)
+    for second in range(60):
+        now_s = 10.0 + second
+        sky.own_ned_m = (10.0 * second, 0.0, OWN_DOWN_M)
+        helicopter = report(3_000.0 - 40.0 * second, velocity_ned_mps=(-40.0, 0.0, 0.0))
+        if second or established:
+            sky.take(now_s, helicopter)
+        for k in range(MOST):
+            east_m = (-1) ** k * (600.0 + k)
+            sky.take(now_s, ghost(k, (10.0 * second, east_m), (10.0, 0.0, 0.0)))
+        if second:
+            assert ICAO in icaos(sky, now_s)
+    assert sky.traffic.full.left_out
+    assert not sky.traffic.full.threats
+
+
+def test_ghosts_that_are_in_conflict_themselves_displace_each_other_and_not_the_helicopter():
+    """Consecutive addresses, and one direction: 300 of them, all nearer in time than it is."""
+    sky = Sky()
+    for second in range(30):
+        now_s = 10.0 + second
+        sky.take(now_s, report(2_500.0 - 40.0 * second, velocity_ned_mps=(-40.0, 0.0, 0.0)))
+        for k in range(300):
+            icao = 0xA00000 + 0x111 * k
+            sky.take(now_s, report(-300.0 - k, 0.0, icao=icao, velocity_ned_mps=(60.0, 0.0, 0.0)))
+        assert ICAO in icaos(sky, now_s)
+    (said,) = {type(c) for c in sky.traffic.full.due(40.0)}
+    assert said is Say

@@ -97,12 +97,16 @@ def check_bounds(traffic: Traffic, max_tracks: int) -> None:
     """Every container of the tracker holds what its bound allows, and they agree with each other."""
     tracks = traffic.tracks
     assert len(tracks) <= max_tracks
-    assert len(traffic._ranking) == len(tracks)
-    assert sum(map(len, traffic._ranking._bands)) == len(tracks)
-    twins = traffic._by_identity
+    assert len(traffic._table.ranking) == len(tracks)
+    tiers = traffic._table.ranking._tiers.values()
+    assert sum(tier.size for tier in tiers) == len(tracks)
+    assert traffic._table.ranking._places.size <= len(tracks)
+    assert sum(traffic._table.groups.values()) == len(tracks)
+    assert len(traffic._table.burst._times_s) <= 10
+    twins = traffic._table.by_identity
     assert sum(map(len, twins.values())) == len(tracks)
     assert all(1 <= len(group) <= 16 for group in twins.values())
-    assert len(traffic._sources) <= 4 * max_tracks
+    assert len(traffic._table.sources) <= 4 * max_tracks
     assert len(traffic._assembler) <= 256
     assert traffic._assembler.held_bytes() <= 256 * (17 + 30 * 23)
     assert len(traffic._judge.reports) <= len(tracks)
@@ -202,7 +206,8 @@ def messages_to_a_full_table(max_tracks: int) -> dict[str, int]:
         frames = {
             "update": ("I0", location_at(20.0, t), "s0"),
             "newcomer": (f"N{k}", location_at(10.0, t), f"n{k}"),
-            "refused": (f"R{k}", location_at(40_000.0, t), f"r{k}"),
+            # It sounds like those that fill the table: with a sound of its own it would get a place.
+            "refused": (f"R{k}", location_at(40_000.0, t), f"s{max_tracks + k}"),
             "split": ("I0", location_at(5.0 if k % 2 else 900.0 + 90 * k, t), f"t{k}"),
         }
         for kind, (identity, location, address) in frames.items():

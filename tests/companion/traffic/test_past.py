@@ -27,7 +27,8 @@ def off_line(aside_m, at_s=11.0):
         # Declared 3 m and one second: 0.35 * (3 + 1) = 1.4 m are noise, twice the rest is the growth.
         (2.0, 1.2),
         (1.3, 0.0),
-        (50.0, GROWTH_MOST_MPS),
+        # More than 31 m would be another aircraft.
+        (25.0, GROWTH_MOST_MPS),
     ],
 )
 def test_what_noise_does_not_explain_of_a_prediction_is_growth(aside_m, growth_mps):

@@ -476,7 +476,7 @@ def test_a_flood_of_far_ghosts_does_not_push_out_the_near():
     assert "NEAR" in listener.tracks
     listener.hear(10.0, basic("CLOSE"), location(north_m=60.0), address="close")
     assert "CLOSE" in listener.tracks
-    assert len(listener.traffic._sources) <= 40
+    assert len(listener.traffic._table.sources) <= 40
 
 
 def test_every_number_of_a_neighbour_is_finite():

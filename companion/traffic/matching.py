@@ -1,0 +1,116 @@
+"""Which track a message belongs to.
+
+Everything in a message can be copied, the radio address too. So a message belongs to a track only if that
+track's aircraft can have sent it: it must be near the predicted place, with a velocity that the aircraft can
+have by now. A message that fits no track of its name opens another one, a second hypothesis of where the
+aircraft is. Both go on, and both are avoided.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from companion.traffic.fix import Fix
+from companion.traffic.plausibility import Flag
+from companion.traffic.sender_details import Source
+from companion.traffic.track import CLOCKLESS_MOST_S, Track, beyond, flown, lead, near, off, reach
+
+_JOINED_WITHIN_M = 15.0
+"""Two tracks are merged only if they are this near to each other. An aircraft's positions on two transports
+come from one GNSS receiver. With a larger distance, a sender with a copied identity could remove another's
+track."""
+_TWIN_MEMORY_S = 60.0
+"""For this long after another track of the same identity was there, a track is matched only to messages near
+it; others may still be from the other aircraft."""
+_TURN_MPS2, _TURN_MPS = 12.0, 6.0
+"""A velocity may differ from the track's by `_TURN_MPS`, and by `_TURN_MPS2` times the time between. A module
+that pretends to circle, in one of the kept captures, turns by 27 m/s in a second."""
+_CLOCK_MPS = 5.0
+"""Metres for which a second of difference between two clocks counts, where several tracks fit."""
+_OLD_M = 1000.0
+"""Metres for which it counts that a message is not news to a track, where several tracks fit."""
+
+
+def match(
+    known: Sequence[Track], source: Source, fix: Fix, now_s: float, max_speed_mps: float
+) -> tuple[Track | None, float]:
+    """The track whose aircraft can have sent the fix, and its distance from it (m).
+
+    Tracks that the same address fed last come first, then the one that it fits best. Without such a track,
+    the result is None and infinity.
+
+    After some silence one aircraft can be nearly anywhere. If two aircraft use the identity, or the address
+    is new to the track, the fix must be near the track; otherwise one track would jump between two aircraft,
+    and one of them would be lost. An aircraft that changes its address does not return to the old one. So if
+    two addresses take turns on a transport, each gets its own track; otherwise one sender could pull the
+    track away from the other.
+
+    Args:
+        known: the tracks of its identity.
+        max_speed_mps: how fast an aircraft of unknown velocity may fly.
+    """
+    at = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
+    several = len(known) > 1
+    best, least, nearest = None, (True, math.inf), math.inf
+    for track in known:
+        elapsed, noise = abs(at - track.sample_s), fix.sigma_m + track.sigma_m
+        if several:
+            track.beside_s = now_s
+        twins = now_s - track.beside_s <= _TWIN_MEMORY_S
+        others = track.fed_by.get(source.about.transport) != source.key
+        if others and source.key in track.sources:
+            continue
+        away = off(track, fix, at)
+        if not track.velocity_known:
+            allowed = reach(elapsed, noise) + max_speed_mps * elapsed
+        elif twins or others:
+            allowed = near(noise)
+        else:
+            away, allowed = beyond(track, fix, at), flown(elapsed, noise)
+        if away > allowed or not (others or _same_velocity(track, fix, elapsed)):
+            continue
+        unlike = away + (_unlike(track, fix, now_s) if several else 0.0)
+        if (others, unlike) < least:
+            best, least, nearest = track, (others, unlike), away
+    return best, nearest
+
+
+def _same_velocity(track: Track, fix: Fix, elapsed_s: float) -> bool:
+    """Whether the aircraft can have changed its velocity to that of a fix. If its positions do not follow its
+    velocity, that is no reason to tell messages apart."""
+    if fix.velocity is None or track.declared_s is None or Flag.VELOCITY_MISMATCH in track.doubts.flags:
+        return True
+    if not track.past_clocked:
+        elapsed_s += CLOCKLESS_MOST_S
+    return math.dist(fix.velocity, track.velocity_ned_mps) <= _TURN_MPS + _TURN_MPS2 * elapsed_s
+
+
+def _unlike(track: Track, fix: Fix, now_s: float) -> float:
+    """How badly a fix fits a track besides its place, in metres."""
+    unlike = 0.0
+    if fix.velocity is not None:
+        unlike += math.dist(fix.velocity, track.velocity_ned_mps)
+    if fix.stamp_s is not None:
+        unlike += _CLOCK_MPS * abs(fix.stamp_s - now_s - track.leads_s[-1])
+        if fix.stamp_s - lead(track.leads_s) <= track.sample_s:
+            unlike += _OLD_M
+    return unlike
+
+
+def same_aircraft(track: Track, others: Iterable[Track]) -> Track | None:
+    """The track among `others` that is the same aircraft as `track`; the nearest if there are several.
+
+    This is stricter than `match`, because a merge gives up one of two positions.
+    """
+    best, least = None, _JOINED_WITHIN_M
+    for other in others:
+        earlier, later = sorted((track, other), key=lambda t: t.sample_s)
+        elapsed = later.sample_s - earlier.sample_s
+        moved = [
+            p + elapsed * v for p, v in zip(earlier.position_ned_m, earlier.velocity_ned_mps, strict=True)
+        ]
+        away = math.dist(moved[:2], later.position_ned_m[:2])
+        if away < least:
+            best, least = other, away
+    return best
