@@ -20,6 +20,7 @@ from companion.traffic.plausibility import (
     message_doubts,
 )
 from companion.traffic.sender_details import Source
+from companion.traffic.signal_strength import MATCH, MISMATCH
 from companion.traffic.signatures import FRESH_S, Signatures, Verdict
 from companion.traffic.track import ESTABLISHED, Track, apart, beside
 
@@ -30,6 +31,7 @@ _LEAP = 6
 """Evidence of a jump. `_HOP`: the first message at another place. `_LEAP`: the new track becomes established
 there while the old one is silent."""
 _TWIN_FLAG = (Flag.DUPLICATE_IDENTITY,)
+_SIGNAL_FLAG = (Flag.SIGNAL_MISMATCH,)
 _MOTION_FLAG = (Flag.VELOCITY_MISMATCH,)
 _SIGNER_FLAGS = (Flag.SIGNED, Flag.UNSIGNED)
 _VERDICT_FLAGS = {
@@ -112,6 +114,14 @@ class Judge:
             self.note(twin, _TWIN_FLAG)
         if not live:
             self.note(track, (), _TWIN_FLAG)
+
+    def signal(self, track: Track, log_ratio: float) -> None:
+        """Judge the signal strength of a track's messages by their log likelihood ratio against its
+        positions."""
+        if log_ratio > MISMATCH:
+            self.note(track, _SIGNAL_FLAG)
+        elif log_ratio < MATCH:
+            self.note(track, (), _SIGNAL_FLAG)
 
     def proves(
         self,

@@ -29,6 +29,7 @@ class Flag(enum.StrEnum):
     NO_TIMESTAMP = "no_timestamp"
     VELOCITY_MISMATCH = "velocity_mismatch"
     IMPOSSIBLE_VALUES = "impossible_values"
+    SIGNAL_MISMATCH = "signal_mismatch"
     REMOTE_ID_FAILURE = "remote_id_failure"
     EMERGENCY = "emergency"
     SIGNED = "signed"
@@ -59,6 +60,7 @@ RULES: Final[dict[Flag, Rule]] = {
     Flag.NO_TIMESTAMP: Rule(3, 6, "its messages carry no timestamp"),
     Flag.VELOCITY_MISMATCH: Rule(2, 3, "its positions do not follow the velocity that it reports"),
     Flag.IMPOSSIBLE_VALUES: Rule(2, 6, "it reports an impossible speed, position or altitude"),
+    Flag.SIGNAL_MISMATCH: Rule(1, 1, "its signal strength contradicts the positions that it reports"),
     Flag.REMOTE_ID_FAILURE: Rule(1, 3, "it reports a failure of its Remote ID system"),
     Flag.EMERGENCY: Rule(1, 3, "it reports an emergency"),
     Flag.SIGNED: Rule(1, 1, "a fresh signature proves its identity"),
@@ -87,6 +89,7 @@ UNTRUSTED: Final = frozenset(
         Flag.JUMP,
         Flag.VELOCITY_MISMATCH,
         Flag.IMPOSSIBLE_VALUES,
+        Flag.SIGNAL_MISMATCH,
         Flag.BAD_SIGNATURE,
     )
 )

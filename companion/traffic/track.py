@@ -13,6 +13,7 @@ from companion.traffic.about import About
 from companion.traffic.eviction import Trust
 from companion.traffic.fix import Fix
 from companion.traffic.plausibility import UNTRUSTED, Doubts, Flag, MotionWindow, noise_m
+from companion.traffic.signal_strength import SignalWitness
 
 _CLOCKLESS_S = 0.5
 CLOCKLESS_MOST_S = 1.0
@@ -132,6 +133,9 @@ class Track:
     clock_s: float = -math.inf
     """When a message was last dated by that clock (our monotonic time)."""
     wander: Wander = field(default_factory=Wander)
+    signal: SignalWitness = field(default_factory=SignalWitness)
+    signal_reach_m: float = 0.0
+    """How far from its position the signal strength says that it may be (`SignalWitness.reach_m`)."""
     declared_s: float | None = None
     """Time of the last message that declared a velocity (our monotonic time)."""
     doubts: Doubts = field(default_factory=Doubts)
@@ -197,6 +201,25 @@ class Track:
         self.clock_s = now_s
         self.leads_s.append(lead_s)
         return True
+
+    def note_signal(self, key: str, rssi_dbm: float, here: Vec3, now_s: float) -> float:
+        """Compare the power of its last message with the place where it was then.
+
+        Args:
+            key: radio address that the message came from.
+            here: own position.
+
+        Returns:
+            The log likelihood ratio against the reported positions.
+        """
+        age_s = max(0.0, now_s - self.sample_s)
+        north, east, down = (
+            p + age_s * v - o
+            for p, v, o in zip(self.position_ned_m, self.velocity_ned_mps, here, strict=True)
+        )
+        self.signal.add(key, rssi_dbm, (north, east, down), now_s)
+        self.signal_reach_m = self.signal.reach_m
+        return self.signal.log_ratio
 
     def note_miss(self, fix: Fix, sample_s: float, now_s: float) -> None:
         """Compare a message with the place that is predicted for its time."""

@@ -157,6 +157,9 @@ class Traffic:
             track = self._take(source, fix, now_s)
             if track is not None:
                 self._judge.signer(track, now_s, utc_offset_s is not None)
+                if heard.rssi_dbm is not None:
+                    ratio = track.note_signal(source.key, heard.rssi_dbm, self._own.position, now_s)
+                    self._judge.signal(track, ratio)
             fed += source.fed
         if self.signatures is not None:
             if fed:
@@ -200,7 +203,7 @@ class Traffic:
                 t.position_ned_m,
                 t.velocity_ned_mps,
                 max(0.0, now_s - t.sample_s),
-                t.sigma_m + t.wander.error_m / SIGMAS,
+                t.sigma_m + (t.wander.error_m + t.signal_reach_m) / SIGMAS,
                 t.sigma_mps,
                 t.past.growth_mps,
                 now_s - t.received_s > t.silent_after_s,
