@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.events import AdsbVehicle
-from companion.traffic.adsb import BAROMETRIC_M, EXPIRE_S, MOST, AdsbTraffic
+from companion.traffic.adsb import BAROMETRIC_M, EXPIRE_S, MOST, SIGMA_MPS, AdsbTraffic
 from tests.support.place import HOME
 
 SEPARATION_M = 47.0
@@ -308,3 +308,8 @@ def test_who_only_looks_forgets_nobody():
     late_s = 10.0 + EXPIRE_S + 1.0
     assert sky.traffic.look(late_s, OWN_DOWN_M) == []
     assert sky.only(10.0)
+
+
+def test_the_assumed_velocity_error_is_that_of_its_category():
+    """NACv 2: 3 m/s at 95 %, which is 1.96 standard deviations."""
+    assert pytest.approx(3.0 / 1.96, rel=0.05) == SIGMA_MPS
