@@ -185,6 +185,7 @@ class Gate:
         """Note that the input was read until it was empty."""
         if now_s - self._emptied_s > STALL_S:
             self._fresh = False
+            self._waits_s = None  # Our own pause is no silence of the vehicle.
         self._emptied_s = now_s
 
     def behind(self) -> None:

@@ -7,6 +7,7 @@ import math
 import pytest
 
 from companion.authority.course import Course
+from companion.authority.guard import _way
 from companion.avoidance.law import Law
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
@@ -61,3 +62,29 @@ def test_the_floor(floor_m, ceiling_m, lowest_m, expected_m):
 
 def test_before_the_first_flight_nothing_is_as_low_as_the_ground():
     assert Course().floor_height_m(LimitsConfig()) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("there", "seconds"),
+    [
+        # 30 m at 3 m/s; 80 m up at 2 m/s, 30 m down at 1.5 m/s: from 50 m above the frame's origin.
+        ((30.0, 0.0, -50.0), 10.0),
+        ((0.0, 0.0, -130.0), 40.0),
+        ((0.0, 0.0, -20.0), 20.0),
+        ((30.0, 40.0, -49.0), math.sqrt(2501.0) / 3.0),
+    ],
+)
+def test_the_way_to_an_item_is_as_fast_as_it_climbs_or_descends(there, seconds):
+    limits = LimitsConfig(max_climb_mps=2.0, max_descent_mps=1.5)
+    way = _way((0.0, 0.0, -50.0), (3.0, 0.0, 1.0), there, 3.0, limits)
+    assert way.end_s == pytest.approx(seconds)
+    assert way.position(0.0) == pytest.approx((0.0, 0.0, -50.0))
+    assert way.position(way.end_s) == pytest.approx(there)
+    # Before, it continues the velocity that was flown.
+    assert way.position(-2.0) == pytest.approx((-6.0, 0.0, -52.0))
+
+
+@pytest.mark.parametrize(("away_m", "stands"), [(0.4, True), (0.6, False)])
+def test_an_item_within_half_a_metre_has_been_reached(away_m, stands):
+    way = _way((0.0, 0.0, -50.0), (3.0, 0.0, 0.0), (away_m, 0.0, -50.0), 3.0, LimitsConfig())
+    assert (way.max_speed() == 0.0) is stands

@@ -307,3 +307,23 @@ def test_a_mode_that_was_overtaken_ends_authority_and_never_gives_it_back(report
     assert one.gate.lost
     one.beat(EXTERNAL, armed=True)
     assert not one.gate.lost
+
+
+def test_our_own_pause_is_no_silence_of_the_vehicle():
+    """Commands that waited when we were stopped have not waited for an answer meanwhile."""
+    one = flying()
+    one.gate.answered(one.now_s - 0.02, one.now_s)
+    one.now_s += 0.2
+    assert not one.gate.answers(one.now_s, waiting=True)
+    one.now_s += 5.0
+    read(one)
+    for _ in range(9):
+        one.now_s += 0.1
+        one.gate.emptied(one.now_s)
+        assert not one.gate.answers(one.now_s, waiting=True)
+    assert not one.gate.broken()
+    for _ in range(3):
+        one.now_s += 0.1
+        one.gate.emptied(one.now_s)
+        one.gate.answers(one.now_s, waiting=True)
+    assert [refused.rule for refused in one.gate.broken()] == [14]

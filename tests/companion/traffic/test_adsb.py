@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.events import AdsbVehicle, Say
-from companion.traffic.adsb import BAROMETRIC_M, EXPIRE_S, MOST, AdsbTraffic
+from companion.traffic.adsb import BAROMETRIC_M, EXPIRE_S, MOST, SIGMA_MPS, AdsbTraffic
 from tests.support.place import HOME
 
 SEPARATION_M = 47.0
@@ -348,3 +348,8 @@ def test_ghosts_that_are_in_conflict_themselves_displace_each_other_and_not_the_
         assert ICAO in icaos(sky, now_s)
     (said,) = {type(c) for c in sky.traffic.full.due(40.0)}
     assert said is Say
+
+
+def test_the_assumed_velocity_error_is_that_of_its_category():
+    """NACv 2: 3 m/s at 95 %, which is 1.96 standard deviations."""
+    assert pytest.approx(3.0 / 1.96, rel=0.05) == SIGMA_MPS

@@ -96,6 +96,7 @@ def noted(samples: Any, size: int = 8) -> tuple[list[float], list[float]]:
     count = 0
     for t, north in samples:
         count = k.note_velocity(times_s, velocities, count, t, (north, 2.0 * north, -north))
+        assert (np.diff(times_s[:count]) > 0.0).all()
         assert velocities[count - 1, 1:].tolist() == [
             2.0 * velocities[count - 1, 0],
             -velocities[count - 1, 0],

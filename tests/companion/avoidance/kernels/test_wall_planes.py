@@ -258,3 +258,15 @@ def test_from_the_centre_of_a_circle_only_the_way_that_is_flown_is_bounded() -> 
     (plane,), _ = planes_at(fence, (-5.0, 0.0), (5.0, 0.0))
     assert plane[:2] == (-1.0, 0.0)
     assert stops_within(-plane[2], 18.0, 8.0)
+
+
+@pytest.mark.parametrize("corner", [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
+def test_a_corner_right_across_is_seen(corner: Place) -> None:
+    """Both edges of a forbidden square have the same nearest point, in an exactly diagonal direction."""
+    fence = polygon(k.OUT_OF_POLYGON, (-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))
+    hard, _ = planes_at(fence, (8.0 * corner[0], 8.0 * corner[1]), bound=1.0)
+    root = math.sqrt(0.5)
+    to_corner = [plane for plane in hard if plane[:2] == pytest.approx((root * corner[0], root * corner[1]))]
+    assert len(to_corner) == 2
+    for plane in to_corner:
+        assert stops_within(-plane[2], 3.0 * math.sqrt(2.0) - MARGIN, 1.0)
