@@ -42,12 +42,12 @@ def test_an_identity_of_no_kind_or_without_text_is_none(name):
 
 
 def test_an_established_track_that_flew_away_gives_way_before_one_that_is_nearer():
-    """We are at the origin; who left was the nearest when it was established."""
+    """We are at the origin; who left was the nearest when it was established. The new one flies at us."""
     listener = Listener(max_tracks=2)
     leaving = straight(60.0, north_m=0.0, east_m=20.0)
     fly(listener, leaving, seconds(24), identity="LEAVING", address="l")
     fly(listener, straight(0.0, 300.0, 0.0), seconds(4, 30.0), identity="STAYING", address="s")
-    fly(listener, straight(0.0, 100.0, 0.0), [36.0], identity="NEW", address="n")
+    fly(listener, straight(15.0, 5.0, -490.0), [36.0], identity="NEW", address="n")
     assert set(listener.traffic.tracks) == {"STAYING", "NEW"}
 
 

@@ -412,7 +412,7 @@ def test_what_is_remembered_is_bounded():
     for k in range(2000):
         t = 10.0 + 0.01 * k
         listener.hear(t, basic(), location(straight(), t), address=f"s{k % 500}")
-    sources = listener.traffic._sources._held.values()
+    sources = listener.traffic._table.sources._held.values()
     assert len(sources) <= 80
     assert all(len(source.reported) <= 40 for source in sources)
 
