@@ -47,7 +47,9 @@ def test_an_established_track_that_flew_away_gives_way_before_one_that_is_nearer
     leaving = straight(60.0, north_m=0.0, east_m=20.0)
     fly(listener, leaving, seconds(24), identity="LEAVING", address="l")
     fly(listener, straight(0.0, 300.0, 0.0), seconds(4, 30.0), identity="STAYING", address="s")
-    fly(listener, straight(15.0, 5.0, -490.0), [36.0], identity="NEW", address="n")
+    listener.traffic.note_own(36.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    approaching = lambda t: (5.0, 15.0 * (t - 44.0), 0.0, 15.0, 0.0)  # noqa: E731 - at our height
+    fly(listener, approaching, [36.0], identity="NEW", address="n")
     assert set(listener.traffic.tracks) == {"STAYING", "NEW"}
 
 

@@ -412,7 +412,8 @@ def test_what_is_remembered_is_bounded():
     for k in range(2000):
         t = 10.0 + 0.01 * k
         listener.hear(t, basic(), location(straight(), t), address=f"s{k % 500}")
-    sources = listener.traffic._table.sources._held.values()
+    table = listener.traffic._table.sources
+    sources = [*table._idle.values(), *table._feeding.values()]
     assert len(sources) <= 80
     assert all(len(source.reported) <= 40 for source in sources)
 
