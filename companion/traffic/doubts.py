@@ -79,10 +79,8 @@ class Judge:
         if track.split_from is not None and track.messages + 1 >= ESTABLISHED:
             before = self.tracks.get(track.split_from)
             track.split_from = None
-            if before is not None and before.received_s <= track.opened_s:
-                before.left = True
-                if track.leapt:
-                    self.note(track, (Flag.JUMP,) * _LEAP)
+            if before is not None and before.received_s <= track.opened_s and track.leapt:
+                self.note(track, (Flag.JUMP,) * _LEAP)
         if len(known) > 1 or track.doubts.evidence or track.identity == self.own_uas_id:
             self._twins(track, known, fix, now_s)
 

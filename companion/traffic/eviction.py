@@ -178,6 +178,9 @@ def allowance_of(sound: str) -> int:
     return zlib.crc32(sound.encode("utf-8", "replace")) % _ALLOWANCES
 
 
+OPENED, OPENED_S = 10, 2.0
+
+
 @dataclass(slots=True)
 class Burst:
     """Recognises tracks that appear together: more than `OPENED` within `OPENED_S`."""
@@ -189,9 +192,6 @@ class Burst:
         together = len(self._times_s) == OPENED and now_s - self._times_s[0] <= OPENED_S
         self._times_s.append(now_s)
         return together
-
-
-OPENED, OPENED_S = 10, 2.0
 
 
 @dataclass(slots=True)
@@ -229,12 +229,12 @@ class _Crowd:
         parts = self.parts
         return parts[max(parts, key=lambda key: (parts[key].size, key))]
 
-    def last(self) -> str:
-        """The track of the least value in the most crowded part."""
+    def last(self) -> tuple[Value, str]:
+        """The track of the greatest value in the most crowded part, with that value."""
         crowd = self
         while crowd.parts:
             crowd = crowd.largest()
-        return crowd.members[-1][1]
+        return crowd.members[-1]
 
 
 @dataclass(slots=True)
@@ -279,9 +279,12 @@ class Ranking:
         """The track to give up. There must be one."""
         tier = min(tier for tier, crowd in self._tiers.items() if crowd.size)
         crowd = self._tiers[tier]
-        if tier == THREAT and 2 * crowd.largest().size <= crowd.size:
-            return self._places.last()
-        return crowd.last()
+        if tier < THREAT:
+            most = crowd.largest().size
+            return max(part.last() for part in crowd.parts.values() if part.size == most)[1]
+        if 2 * crowd.largest().size <= crowd.size:
+            return self._places.last()[1]
+        return crowd.last()[1]
 
 
 @dataclass(slots=True)

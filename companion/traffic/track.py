@@ -117,9 +117,6 @@ class Track:
     """The split was by a distance that no aircraft can fly."""
     hypothesis: bool = False
     """It was split from another track, and is not established yet."""
-    left: bool = False
-    """A track that was split from it is established, and it was not heard since: that is where the aircraft
-    is now."""
     group: str = ""
     """What it appeared together with, or sounds like (`eviction`)."""
     allowance: int = 0

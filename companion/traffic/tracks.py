@@ -45,9 +45,6 @@ is too inaccurate there."""
 _LEADS = 5
 _RANKED_EVERY = 8
 """A track is ranked for eviction every so many messages; its standing changes little in between."""
-_GHOST_S = 6.0
-"""A track that nobody confirmed after it was split from another, or that its aircraft has left for a split
-one, is removed after this long without a message."""
 _CROWD = 5
 """Tracks that sound alike are a group from this many on."""
 
@@ -186,13 +183,9 @@ class Traffic:
         self._own.clear()
 
     def expire(self, now_s: float) -> None:
-        """Remove tracks older than `expire_after_s`, and ghosts (`_GHOST_S`)."""
+        """Remove tracks older than `expire_after_s`."""
         limit = self.config.expire_after_s
-        for track in [
-            t
-            for t in self.tracks.values()
-            if now_s - t.sample_s > limit or ((t.hypothesis or t.left) and now_s - t.received_s > _GHOST_S)
-        ]:
+        for track in [t for t in self.tracks.values() if now_s - t.sample_s > limit]:
             self._table.remove(track)
 
     def neighbours(self, now_s: float) -> list[Neighbour]:
@@ -333,7 +326,6 @@ class Traffic:
         track.vertical_known = fix.vertical_known
         track.remember(fix)
         track.messages += 1
-        track.left = False
         track.hypothesis = track.hypothesis and track.messages < ESTABLISHED
         track.about.update(source.about)
         if track.messages == ESTABLISHED or track.messages % _RANKED_EVERY == 0:
@@ -351,6 +343,7 @@ class Traffic:
         if victim is track:
             self.counts.refused_full += 1
             return None
+        track.remember(fix)  # After `make_room`: in a flood most newcomers find no room.
         self.counts.evicted += victim is not None
         self.counts.split += bool(others)
         self._judge.first_message(track, known, source, fix, now_s)
@@ -392,7 +385,6 @@ class Traffic:
         )
         source.fed.append(track)
         track.about.update(source.about)
-        track.remember(fix)
         return track
 
 

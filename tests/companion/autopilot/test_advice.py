@@ -126,7 +126,7 @@ def test_remarks(make_config, vehicle: VehicleParameters, over: dict[str, Any], 
 def test_a_longer_look_ahead_asks_for_a_wider_radius(make_config) -> None:
     config = msgspec.structs.replace(make_config(), avoidance=AvoidanceConfig(horizon_s=100.0))
     (text,) = remarks(config, adsb(7200))
-    assert text.endswith("100 s are looked ahead: set 8000 m or more")
+    assert text.endswith("the look-ahead is 100 s: set 8000 m or more")
 
 
 def test_what_follows_silence() -> None:
@@ -135,7 +135,7 @@ def test_what_follows_silence() -> None:
     )
     px4 = told(Firmware.PX4, setpoint_timeout_s=("COM_OF_LOSS_T", 1.0), loss_action=("COM_OBL_RC_ACT", 5.0))
     assert after_silence(px4) == "without setpoints for 1 s (COM_OF_LOSS_T) it holds (COM_OBL_RC_ACT 5)"
-    assert after_silence(told(Firmware.PX4)) == "without setpoints it does what COM_OBL_RC_ACT says"
+    assert after_silence(told(Firmware.PX4)) == "without setpoints it follows COM_OBL_RC_ACT"
 
 
 @pytest.mark.parametrize(
@@ -149,12 +149,12 @@ def test_what_follows_silence() -> None:
 def test_a_mission_that_would_begin_anew(value: float | None, words: str | None) -> None:
     text = restarting(told() if value is None else told(mission_restart=("MIS_RESTART", value)))
     assert (text is None) == (words is None)
-    assert words is None or text == f"{words}: set 0 to guard it"
+    assert words is None or text == f"{words}; set 0 to guard it"
 
 
 def test_a_vehicle_without_a_receiver_hears_no_crewed_traffic() -> None:
     assert no_receiver(adsb(2000, receiver=0)) == (
-        "ADSB_TYPE 0: no ADS-B receiver: crewed traffic is not heard"
+        "ADSB_TYPE 0: no ADS-B receiver, so crewed traffic is not received"
     )
     assert no_receiver(adsb(2000, receiver=1)) is None
     assert no_receiver(told()) is None
@@ -167,7 +167,7 @@ def test_each_action_after_silence_is_named(action: int) -> None:
     words = {3: "returns", 4: "lands", 5: "holds", 6: "terminates the flight", 7: "disarms"}
     modes = {0: "Position", 1: "Altitude", 2: "Stabilized"}
     assert said.endswith(f" (COM_OBL_RC_ACT {action})")
-    assert words.get(action, f"goes to {modes.get(action)} mode") in said
+    assert words.get(action, f"switches to {modes.get(action)} mode") in said
 
 
 def test_nothing_said_of_parameters_that_are_as_they_should_be(make_config) -> None:
