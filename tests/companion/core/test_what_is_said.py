@@ -18,12 +18,12 @@ def said(bench, state):
 def test_a_vehicle_that_is_taken_and_a_pilot_who_takes_over(flying):
     ((severity, text),) = said(flying, State.GUARDING)
     assert severity is Severity.INFO
-    assert text.startswith("taking the vehicle from mode")
+    assert text.startswith("taking control in mode ")
     flying.mode = FlightMode.OTHER
     flying.step()
     ((severity, text),) = said(flying, State.YIELDED)
     assert severity is Severity.WARNING
-    assert text.endswith(", not by us")
+    assert text.endswith(", not by the companion")
 
 
 def test_a_conflict_is_not_said_while_we_fly_as_alerts_tell_of_it(flying):
@@ -36,18 +36,20 @@ def test_a_conflict_is_not_said_while_we_fly_as_alerts_tell_of_it(flying):
 
 def test_a_mission_that_is_guarded_taken_or_left(guarded):
     bench = guarded()
-    assert said(bench, State.WATCHING) == [(Severity.INFO, "guarding the mission that the vehicle flies")]
+    assert said(bench, State.WATCHING) == [(Severity.INFO, "guarding the vehicle's mission")]
     assert said(taken(bench), State.AVOIDING) == [(Severity.INFO, "conflict with OTHER")]
     left = guarded()
     left.mode = FlightMode.OTHER
     left.step()
     ((severity, text),) = said(left, State.STANDBY)
     assert severity is Severity.INFO
-    assert text.startswith("the mission was left for mode ")
+    assert text.startswith("the vehicle left its mission for mode ")
 
 
 def test_a_mission_whose_vehicle_may_be_anothers(guarded):
     bench = guarded()
     bench.extra.append(TwoAutopilots(reason="two autopilots"))
     bench.step()
-    assert said(bench, State.STANDBY) == [(Severity.INFO, "which vehicle is ours is not known")]
+    assert said(bench, State.STANDBY) == [
+        (Severity.INFO, "two autopilots on the link, so it is unclear which one is ours")
+    ]
