@@ -48,7 +48,11 @@ def test_an_established_track_that_flew_away_gives_way_before_one_that_is_nearer
     fly(listener, leaving, seconds(24), identity="LEAVING", address="l")
     fly(listener, straight(0.0, 300.0, 0.0), seconds(4, 30.0), identity="STAYING", address="s")
     listener.traffic.note_own(36.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    approaching = lambda t: (5.0, 15.0 * (t - 44.0), 0.0, 15.0, 0.0)  # noqa: E731 - at our height
+
+    def approaching(t):
+        """At our height, unlike the others."""
+        return 5.0, 15.0 * (t - 44.0), 0.0, 15.0, 0.0
+
     fly(listener, approaching, [36.0], identity="NEW", address="n")
     assert set(listener.traffic.tracks) == {"STAYING", "NEW"}
 
