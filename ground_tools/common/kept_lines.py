@@ -58,28 +58,36 @@ class Kept(Generic[Row]):
         self.rows.update((self._key(row), row) for row in rows)
 
     def _read(self) -> None:
-        try:
-            text = self.path.read_text()
-            first, *lines = text.splitlines()
-            header = json.loads(first)
-        except (OSError, ValueError) as error:
-            raise ConfigError(
-                f"--out: {self.path}: cannot be read; remove the file to repeat its flights"
-            ) from error
+        header, rows = read_lines(self.path, self._row)
         if header != self._made_with:
             raise ConfigError(
                 f"--out: {self.path} was made with other settings ({_difference(header, self._made_with)}); "
                 "remove the file or choose another folder"
             )
-        for line in lines:
-            try:
-                row = msgspec.json.decode(line, type=self._row)
-            except msgspec.DecodeError:
-                continue  # Incomplete line of a killed process.
-            self.rows[self._key(row)] = row
-        if not text.endswith("\n"):
+        self.rows = {self._key(row): row for row in rows}
+        if not self.path.read_bytes().endswith(b"\n"):
             with self.path.open("a") as file:
                 file.write("\n")
+
+
+def read_lines(path: Path, row: type[Row]) -> tuple[Any, list[Row]]:
+    """Read a result file: what its first line says, and its rows.
+
+    Raises:
+        ConfigError: The file cannot be read.
+    """
+    try:
+        first, *lines = path.read_text().splitlines()
+        header = json.loads(first)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"--out: {path}: cannot be read; remove the file to repeat its flights") from error
+    rows = []
+    for line in lines:
+        try:
+            rows.append(msgspec.json.decode(line, type=row))
+        except msgspec.DecodeError:
+            continue  # Incomplete line of a killed process.
+    return header, rows
 
 
 def _difference(found: Any, wanted: dict[str, Any]) -> str:

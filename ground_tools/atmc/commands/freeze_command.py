@@ -14,7 +14,7 @@ from companion.errors import ConfigError
 from ground_tools.atmc.commands.evaluate_command import evaluation
 from ground_tools.atmc.env.tasks import MAX_BYTES
 
-_SAMPLES = {5: 200, 10: 100, 20: 30, 50: 5}
+SAMPLES = {5: 200, 10: 100, 20: 30, 50: 5}
 """Sets of positions in each square, by fleet size, for the results that a frozen file contains."""
 
 
@@ -73,12 +73,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _results(evaluate: Any, data: bytes, name: str, metadata: Any) -> dict[str, float]:
     """Results for the file: delay or age (ms) of policy, best fixed mode, rule and search, by fleet size."""
-    sizes = [metadata.neighbours + 1] if metadata.kind == "flat" else list(_SAMPLES)
+    sizes = [metadata.neighbours + 1] if metadata.kind == "flat" else list(SAMPLES)
     results = {}
     for uavs in sizes:
         if uavs > metadata.neighbours + 1:
             continue
-        question = evaluate.Question(metadata.objective, uavs=uavs, samples=_SAMPLES.get(uavs, 100))
+        question = evaluate.Question(metadata.objective, uavs=uavs, samples=SAMPLES.get(uavs, 100))
         found = evaluate.evaluate(data, name, question)
         for key in ("dynamic_ms", "best_fixed_dynamic_ms", "rule_dynamic_ms", "search_dynamic_ms"):
             results[f"uavs{uavs}_{key}"] = float(found[key])
