@@ -44,6 +44,11 @@ def digests(roots: Iterable[str], root: Path = ROOT) -> dict[str, str]:
     return {name: _digest(_path(name, root)) for name in sorted(names)}
 
 
+def digest(roots: Iterable[str]) -> str:
+    """One digest of all modules on which a result depends."""
+    return hashlib.sha256(repr(digests(roots)).encode()).hexdigest()[:_DIGITS]
+
+
 def _path(name: str, root: Path) -> Path:
     base = root.joinpath(*name.split("."))
     for path in (base.with_suffix(".py"), base / "__init__.py"):
