@@ -11,7 +11,6 @@ import torch
 from companion.atmc import policy_file
 from ground_tools.atmc.commands import evaluate, results
 from ground_tools.atmc.commands.freeze_command import SAMPLES
-from ground_tools.atmc.env.tasks import MAX_BYTES
 from ground_tools.atmc.env.torch_setup import set_up_torch
 from ground_tools.atmc.learners.algorithms import ALGORITHMS
 
@@ -43,7 +42,7 @@ def policy(path: Path) -> list[str]:
     """Measure a policy again in its smallest fleets. Returns what differs, in words."""
     set_up_torch()
     data = path.read_bytes()
-    metadata, _ = policy_file.read(data, path.name, MAX_BYTES)
+    metadata, _ = policy_file.read(data, path.name)
     sizes = sorted(uavs for uavs in SAMPLES if f"uavs{uavs}_dynamic_ms" in metadata.results)
     if not sizes:
         return ["the file holds no measured delay to compare with"]
