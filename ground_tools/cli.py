@@ -18,6 +18,7 @@ _EXAMPLES = """examples:
   ground-tools channel table --sides 500 --rates 9
   ground-tools paper all
   ground-tools atmc train --algorithm madqn --seeds 1-5
+  ground-tools results verify
 """
 
 
@@ -47,6 +48,7 @@ COMMANDS: Final = (
         "ground_tools.atmc.commands.command",
         "train and measure policies that choose transports and rates",
     ),
+    ("results", "ground_tools.results.command", "tell which kept results today's software still makes"),
 )
 """Name, module and words of help of each subcommand."""
 

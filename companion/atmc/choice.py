@@ -62,7 +62,6 @@ class Mind(Protocol):
             neighbour_rows: shape (neighbours, neighbour columns), from `observation.neighbour_rows`.
             allowed: shape (actions,); True for the actions that may be chosen.
             current: index of the action in use now; None if it is not one of `actions`.
-            agent: index of this aircraft, for policies with one network per aircraft; always 0 on the
-                aircraft.
+            agent: index of this aircraft, for policies with one network per aircraft.
         """
         ...

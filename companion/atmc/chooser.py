@@ -60,6 +60,7 @@ class Chooser:
         self._mind = mind
         self._region, self._configured = config.region, asked_rates(config)
         self._uas_id, self._period_s = config.identity.uas_id, config.atmc.period_s
+        self._agent = config.atmc.agent or 0
         self._senses = Senses(config.identity.uas_id)
         self._numbers = {} if mind is None else {action: i for i, action in enumerate(mind.actions)}
         self._allowed: Bools = np.zeros(0, bool)
@@ -122,7 +123,8 @@ class Chooser:
             return self._fall_back(Trouble.NO_POSITION, "own position is too old")
         seen = self._senses.look(now_s, own, traffic, present)
         ble4, ble5, wifi = (present.get(transport, 0) for transport in TRANSPORTS)
-        answer = mind.choose(seen.own, seen.rows, self._allowed, self._numbers.get((ble4, ble5, wifi)))
+        current = self._numbers.get((ble4, ble5, wifi))
+        answer = mind.choose(seen.own, seen.rows, self._allowed, current, self._agent)
         if isinstance(answer, Refused):
             self._doubts = _SURE_AGAIN
             return self._fall_back(answer.why, answer.text)
@@ -175,7 +177,7 @@ def chooser_of(config: Config, policy: bytes | None) -> Chooser | None:
         return Chooser(config, None, "policy", f"policy {name} could not be read")
     try:
         found = load(policy, name)
-        check_flyable(found)
+        check_flyable(found, config.atmc.agent)
     except PolicyError as error:
         return Chooser(config, None, "policy", f"policy {error}")
     return Chooser(config, found, "policy")

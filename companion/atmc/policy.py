@@ -147,19 +147,17 @@ def golden_of(policy: Policy, own_row: AnyFloats, neighbour_rows: AnyFloats, age
     return Golden(own=tuple(map(float, own_row)), rows=rows, agent=agent, q=tuple(map(float, q)))
 
 
-def load(data: bytes, name: str, *, max_bytes: int = MAX_BYTES) -> Policy:
+def load(data: bytes, name: str) -> Policy:
     """Read a policy and check it with its golden cases.
 
     Args:
         data: content of the file.
         name: name of the file, for messages.
-        max_bytes: largest size of the file. Only ground tools need more than the default: policies with one
-            network per aircraft are large.
 
     Raises:
         PolicyError: the file cannot be used; the message names the file and what is wrong with it.
     """
-    metadata, tensors = read(data, name, max_bytes)
+    metadata, tensors = read(data, name)
     policy = Policy(metadata, tensors, name)
     for number, case in enumerate(metadata.golden):
         rows = np.array(case.rows, float).reshape(len(case.rows), len(NEIGHBOUR_COLUMNS))
@@ -172,32 +170,35 @@ def load(data: bytes, name: str, *, max_bytes: int = MAX_BYTES) -> Policy:
     return policy
 
 
-def encode(metadata: Metadata, tensors: Tensors, *, max_bytes: int = MAX_BYTES) -> bytes:
+def encode(metadata: Metadata, tensors: Tensors) -> bytes:
     """Content of a policy file, checked by loading it again.
 
     Args:
         metadata: with its golden cases (`golden_of`); the checksum is filled in.
         tensors: float32, by name, in the layout of torch.nn.Linear.
-        max_bytes: see `load`.
 
     Raises:
         PolicyError: `load` would refuse the file.
     """
     data = write(metadata, tensors)
-    load(data, metadata.name, max_bytes=max_bytes)
+    load(data, metadata.name)
     return data
 
 
-def check_flyable(policy: Policy) -> None:
+def check_flyable(policy: Policy, agent: int | None) -> None:
     """Check that a policy can be used on a single aircraft.
 
+    Args:
+        agent: which of the policy's networks the aircraft uses; None: not configured.
+
     Raises:
-        PolicyError: it has one network for each aircraft of its training.
+        PolicyError: the policy has one network for each aircraft of its training, and `agent` names none.
     """
     agents = policy.metadata.agents
-    if agents > 1:
-        raise PolicyError(
-            f"{policy.name}: holds {agents} networks, one for each aircraft of its training, and none "
-            "of them belongs to this aircraft. It is for comparison on the ground; "
-            "to fly, use one with agents = 1"
-        )
+    if agents == 1:
+        return
+    holds = f"{policy.name}: holds {agents} networks, one for each aircraft of its training"
+    if agent is None:
+        raise PolicyError(f"{holds}; atmc.agent must say which one flies: 0 to {agents - 1}")
+    if agent >= agents:
+        raise PolicyError(f"{holds}; atmc.agent: {agent} is out of range; allowed: 0 to {agents - 1}")

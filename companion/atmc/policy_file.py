@@ -22,8 +22,8 @@ from companion.atmc.networks import PolicyError, Tensors
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS, SCHEMA
 from companion.remote_id.transports import MAX_RATE
 
-MAX_BYTES: Final = 1_000_000
-"""Largest policy file on the aircraft. Every event record also contains the file."""
+MAX_BYTES: Final = 4_000_000
+"""Largest policy file. Ten of the paper's networks take 2.3 MB. Every event record also contains the file."""
 _KEY: Final = "dmuca"
 _LENGTH_BYTES: Final = 8
 _TYPE: Final = "F32"
@@ -99,14 +99,14 @@ def write(metadata: Metadata, tensors: Tensors) -> bytes:
     return safetensors.numpy.save(arrays, {_KEY: msgspec.json.encode(metadata).decode()})
 
 
-def read(data: bytes, name: str, max_bytes: int) -> tuple[Metadata, dict[str, Float32s]]:
+def read(data: bytes, name: str) -> tuple[Metadata, dict[str, Float32s]]:
     """Metadata and weights. Each is checked on its own; whether they fit together is not checked here.
 
     Raises:
         PolicyError: the file cannot be used; the message names the file and what is wrong with it.
     """
-    if len(data) > max_bytes:
-        raise PolicyError(f"{name}: too large: a policy has at most {max_bytes} bytes")
+    if len(data) > MAX_BYTES:
+        raise PolicyError(f"{name}: too large: a policy has at most {MAX_BYTES} bytes")
     try:
         found: Iterable[tuple[str, dict[str, Any]]] = safetensors.deserialize(data)  # type: ignore[no-untyped-call]
     except (safetensors.SafetensorError, ValueError, OverflowError) as error:

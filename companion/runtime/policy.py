@@ -52,7 +52,7 @@ def judge_policy(config: Config) -> list[str]:
     if data is None:
         return [f'atmc: transports are chosen by the built-in policy "{where}"', *lines]
     policy = load(data, f"atmc.policy: {where}")
-    check_flyable(policy)
+    check_flyable(policy, config.atmc.agent)
     m = policy.metadata
     allowed = int(legal(policy.actions, config.region).sum())
     if not allowed:

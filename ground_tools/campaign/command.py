@@ -212,7 +212,10 @@ def run_table(args: argparse.Namespace) -> int:
     with_unavoided = dict.fromkeys(c for cell in wanted for c in (cell, campaign.baseline(cell)))
     found, _ = fly_missing(list(with_unavoided), seeds, args.out, _work(args, Console(stderr=True)))
     lines = [
-        tables.Line(cell=cell, found=summary(found[cell], found[campaign.baseline(cell)])) for cell in wanted
+        tables.Line(
+            cell=cell, found=summary(found[cell], found[campaign.baseline(cell)]), first=found[cell][0]
+        )
+        for cell in wanted
     ]
     if args.file is not None:
         ends = (seeds[0], seeds[-1])

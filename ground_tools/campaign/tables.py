@@ -9,7 +9,7 @@ from typing import Any, Final
 import msgspec
 
 from companion.errors import ConfigError
-from ground_tools.campaign.cells import LAWS, WORLDS, Cell
+from ground_tools.campaign.cells import LAWS, WORLDS, Cell, Row
 from ground_tools.campaign.generators import NAMES
 from ground_tools.campaign.vehicles import INTRUDERS, TWINS
 
@@ -112,6 +112,8 @@ class Line(msgspec.Struct, frozen=True, kw_only=True):
     cell: Cell
     found: dict[str, Any]
     """The result of `command.summary`."""
+    first: Row | None = None
+    """The flight of the first seed, so that it can be compared with one of other software."""
 
 
 class Kept(msgspec.Struct, frozen=True, kw_only=True):

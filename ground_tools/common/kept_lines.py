@@ -9,13 +9,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import msgspec
 
 from companion.errors import ConfigError
 
 Row = TypeVar("Row", bound=msgspec.Struct)
+_SOFTWARE: Final = "software"
 
 
 class Kept(Generic[Row]):
@@ -23,7 +24,9 @@ class Kept(Generic[Row]):
 
     Args:
         path: The file; its folder must exist.
-        made_with: Everything on which the rows depend, except the software.
+        made_with: Everything on which the rows depend.
+        software: Digest of the software that makes the rows, if rows of other software may be read. They are
+            never mixed with new ones.
         row: Type of the rows.
         key: Gives the number of a row. A later row replaces an earlier one with the same number.
 
@@ -32,10 +35,16 @@ class Kept(Generic[Row]):
     """
 
     def __init__(
-        self, path: Path, made_with: dict[str, Any], row: type[Row], key: Callable[[Row], int]
+        self,
+        path: Path,
+        made_with: dict[str, Any],
+        row: type[Row],
+        key: Callable[[Row], int],
+        software: str | None = None,
     ) -> None:
         self.path = path
         self._made_with, self._row, self._key = made_with, row, key
+        self._software = self._flown_by = software
         self.rows: dict[int, Row] = {}
         """Rows by number."""
         if path.exists():
@@ -45,41 +54,57 @@ class Kept(Generic[Row]):
         """Append rows to the file.
 
         Raises:
-            ConfigError: The file cannot be written.
+            ConfigError: The file cannot be written, or its rows were made by other software.
         """
+        if self._flown_by != self._software:
+            raise ConfigError(
+                f"--out: {self.path}: its rows were made by other software, and are not mixed with new ones; "
+                "remove the file or choose another folder"
+            )
         try:
             begun = self.path.exists()
             with self.path.open("a") as file:
                 if not begun:
-                    file.write(json.dumps(self._made_with) + "\n")
+                    software = {} if self._software is None else {_SOFTWARE: self._software}
+                    file.write(json.dumps({**self._made_with, **software}) + "\n")
                 file.write("".join(msgspec.json.encode(row).decode() + "\n" for row in rows))
         except OSError as error:
             raise ConfigError(f"--out: {self.path}: cannot be written: {error.strerror}") from error
         self.rows.update((self._key(row), row) for row in rows)
 
     def _read(self) -> None:
-        try:
-            text = self.path.read_text()
-            first, *lines = text.splitlines()
-            header = json.loads(first)
-        except (OSError, ValueError) as error:
-            raise ConfigError(
-                f"--out: {self.path}: cannot be read; remove the file to repeat its flights"
-            ) from error
+        header, rows = read_lines(self.path, self._row)
+        if self._software is not None and isinstance(header, dict):
+            self._flown_by = header.pop(_SOFTWARE, None)
         if header != self._made_with:
             raise ConfigError(
                 f"--out: {self.path} was made with other settings ({_difference(header, self._made_with)}); "
                 "remove the file or choose another folder"
             )
-        for line in lines:
-            try:
-                row = msgspec.json.decode(line, type=self._row)
-            except msgspec.DecodeError:
-                continue  # Incomplete line of a killed process.
-            self.rows[self._key(row)] = row
-        if not text.endswith("\n"):
+        self.rows = {self._key(row): row for row in rows}
+        if not self.path.read_bytes().endswith(b"\n"):
             with self.path.open("a") as file:
                 file.write("\n")
+
+
+def read_lines(path: Path, row: type[Row]) -> tuple[Any, list[Row]]:
+    """Read a result file: what its first line says, and its rows.
+
+    Raises:
+        ConfigError: The file cannot be read.
+    """
+    try:
+        first, *lines = path.read_text().splitlines()
+        header = json.loads(first)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"--out: {path}: cannot be read; remove the file to repeat its flights") from error
+    rows = []
+    for line in lines:
+        try:
+            rows.append(msgspec.json.decode(line, type=row))
+        except msgspec.DecodeError:
+            continue  # Incomplete line of a killed process.
+    return header, rows
 
 
 def _difference(found: Any, wanted: dict[str, Any]) -> str:

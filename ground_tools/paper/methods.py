@@ -29,12 +29,18 @@ _KEYS: Final = {"high": "high_ms", "low": "low_ms", "dynamic": "delay_ms"}
 
 @dataclass(frozen=True, slots=True)
 class Learner:
-    """Results of one learning algorithm over its seeds."""
+    """Results of one learning algorithm over its seeds, with the networks at the end of the runs.
+
+    An algorithm gives its last networks. Those of the best of a hundred validations are better, but they are
+    chosen afterwards.
+    """
 
     key: str
     seeds: int
     system: dict[str, float]
     """Interquartile mean over the seeds (ms), by density; with one seed, its value."""
+    best: dict[str, float]
+    """The same with the networks of the best validation of each run."""
     error: dict[str, float]
     """Bootstrap standard error (ms), by density; NaN if there is only one seed."""
     interval: dict[str, tuple[float, float]]
@@ -48,11 +54,13 @@ class Learner:
     @property
     def words(self) -> str:
         """Text about the uncertainty of the results."""
+        best = f"{self.best['dynamic']:.0f} ms with the best validation"
         if not self.interval:
-            return f"{self.name}: one seed, {self.system['dynamic']:.0f} ms at dynamic density, no interval"
+            mean = f"{self.system['dynamic']:.0f} ms at dynamic density"
+            return f"{self.name}: one seed, {mean}, no interval; {best}"
         low, high = self.interval["dynamic"]
         mean = f"interquartile mean {self.system['dynamic']:.0f} ms at dynamic density"
-        return f"{self.name}: {self.seeds} seeds, {mean}, 95 % interval {low:.0f} to {high:.0f} ms"
+        return f"{self.name}: {self.seeds} seeds, {mean}, 95 % interval {low:.0f} to {high:.0f} ms; {best}"
 
 
 def learner(results: Results, key: str) -> Learner | None:
@@ -60,15 +68,16 @@ def learner(results: Results, key: str) -> Learner | None:
     runs = results.of(key)
     if not runs:
         return None
-    system, error, interval = {}, {}, {}
+    system, best, error, interval = {}, {}, {}, {}
     for density, name in _KEYS.items():
-        values = np.array([[run.best[name]] for run in runs])
+        best[density] = float(iqm(np.array([[run.best[name]] for run in runs]))[0])
+        values = np.array([[run.last[name]] for run in runs])
         system[density], error[density] = float(iqm(values)[0]), float("nan")
         if len(runs) > 1:
             drawn = resampled(values)
             low, high = np.percentile(drawn, (2.5, 97.5))
             error[density], interval[density] = float(drawn.std()), (float(low), float(high))
-    return Learner(key, len(runs), system, error, interval)
+    return Learner(key, len(runs), system, best, error, interval)
 
 
 def best_run(runs: Sequence[Run]) -> Run:

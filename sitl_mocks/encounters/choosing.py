@@ -15,9 +15,10 @@ import msgspec
 import numpy as np
 
 from companion.arrays import AnyFloats, Bools
+from companion.atmc import policy_file
 from companion.atmc.actions import SET_ACTIONS, Action, legal
 from companion.atmc.choice import Choice, Refused, Why
-from companion.atmc.policy import check_flyable, load
+from companion.atmc.policy import load
 from companion.config import Config, IdentityConfig
 from companion.errors import ConfigError
 from companion.event_record import Record, Step
@@ -75,12 +76,24 @@ def read_policy(scenario: Scenario) -> bytes | None:
     data = read_file(Config(identity=IdentityConfig(uas_id="any"), atmc=scenario.atmc))
     assert data is not None
     policy = load(data, where)
-    check_flyable(policy)
+    agents, aircraft = policy.metadata.agents, len(scenario.path) or scenario.aircraft
+    if 1 < agents < aircraft:
+        raise ConfigError(
+            f"atmc.policy: {where}: holds {agents} networks, one for each aircraft; "
+            f"the scenario has {aircraft} aircraft"
+        )
     if not legal(policy.actions, scenario.region).any():
         raise ConfigError(
             f"atmc.policy: {where}: none of its actions is legal in region {scenario.region.name}"
         )
     return data
+
+
+def with_agent(config: Config, policy: bytes | None, number: int) -> Config:
+    """The configuration of an aircraft, with its own network of a policy that holds one for each aircraft."""
+    if policy is None or policy_file.read(policy, "policy")[0].agents == 1:
+        return config
+    return msgspec.structs.replace(config, atmc=msgspec.structs.replace(config.atmc, agent=number))
 
 
 def keep(folder: Path, scenario: Scenario, policy: bytes | None) -> Scenario:

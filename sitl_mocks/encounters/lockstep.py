@@ -36,7 +36,7 @@ from companion.system import CompanionSystem
 from sitl_mocks.air.air_settings import channel_of
 from sitl_mocks.air.ether import Ether
 from sitl_mocks.air.pair_statistics import PairStats
-from sitl_mocks.encounters.choosing import Chosen, RandomMind
+from sitl_mocks.encounters.choosing import Chosen, RandomMind, with_agent
 from sitl_mocks.encounters.scenario import encounter
 from sitl_mocks.encounters.scenario_file import RANDOM, Scenario
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS
@@ -276,7 +276,7 @@ def _aircraft(
     tlog: Callable[[str], ByteSink] | None,
 ) -> Aircraft:
     """Create one aircraft of `fly`. Random choices have a generator separate from navigation errors."""
-    config = companion_config(scenario, name, path, law)
+    config = with_agent(companion_config(scenario, name, path, law), policy, number)
     drawn = np.random.default_rng(luck.spawn(1)[0]) if scenario.atmc.policy == RANDOM else None
     return Aircraft(
         name,

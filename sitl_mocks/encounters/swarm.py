@@ -70,6 +70,8 @@ class Plan:
     """By number, what the aircraft go through; empty without faults."""
     until_over: bool = False
     """Whether the run ends as soon as all schedules have ended."""
+    policy: bytes | None = None
+    """Content of the policy file that chooses the transports."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -131,7 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
     policy = choosing.read_policy(plan.scenario)
     console = Console(stderr=arguments.json)
     folder = create_run_folder(arguments.runs, "swarm", time.time())
-    plan = replace(plan, scenario=choosing.keep(folder, plan.scenario, policy))
+    plan = replace(plan, scenario=choosing.keep(folder, plan.scenario, policy), policy=policy)
     report = _fly_in(folder, plan, console)
     if arguments.json:
         print(json.dumps(report))
@@ -307,7 +309,8 @@ def _fly(swarm: Swarm, plan: Plan, names: list[str], console: Console) -> dict[s
 def _start_companion(
     swarm: Swarm, plan: Plan, name: str, path: Floats, link: str, radio: str, start_utc_s: float
 ) -> Process:
-    config = companion_config(plan.scenario, name, path, None)
+    number = names_of(plan.scenario, plan.seed).index(name)
+    config = choosing.with_agent(companion_config(plan.scenario, name, path, None), plan.policy, number)
     near_m = _ANYWHERE_M if plan.schedules else config.flight.start_within_m
     config = msgspec.structs.replace(
         config,

@@ -29,7 +29,7 @@ from ground_tools.atmc.env.deciders import Decider, Fixed, Rule, settle
 from ground_tools.atmc.env.environment import Env, EnvSettings, Observation
 from ground_tools.atmc.env.objective import AwarenessObjective, Objective, PaperObjective, costs
 from ground_tools.atmc.env.search import search
-from ground_tools.atmc.env.tasks import AWARENESS_CHANNEL, MAX_BYTES, REGIONS, ObjectiveName, RegionName
+from ground_tools.atmc.env.tasks import AWARENESS_CHANNEL, REGIONS, ObjectiveName, RegionName
 from ground_tools.atmc.env.world import SIDES_M, WorldSettings
 from ground_tools.atmc.learners.flat import flat, thawed
 from ground_tools.atmc.learners.set_network import SetNet
@@ -71,7 +71,7 @@ class Frozen:
     """
 
     def __init__(self, data: bytes, name: str, allowed: Tensor | None = None) -> None:
-        self.policy: Policy = load(data, name, max_bytes=MAX_BYTES)
+        self.policy: Policy = load(data, name)
         self.metadata: Metadata = self.policy.metadata
         self._columns = [NEIGHBOUR_COLUMNS.index(c) for c in self.metadata.neighbour_columns]
         self._own = [OWN_COLUMNS.index(c) for c in self.metadata.own_columns]
@@ -80,7 +80,7 @@ class Frozen:
         if self.metadata.kind == "flat":
             self._stack = thawed(data, name)
             return
-        _, tensors = policy_file.read(data, name, MAX_BYTES)
+        _, tensors = policy_file.read(data, name)
         self._net = SetNet(len(self._columns), len(self._own), count)
         self._net.load_state_dict({key: torch.from_numpy(value) for key, value in tensors.items()})
 

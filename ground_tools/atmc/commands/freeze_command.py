@@ -12,9 +12,8 @@ import msgspec
 from companion.atmc import policy, policy_file
 from companion.errors import ConfigError
 from ground_tools.atmc.commands.evaluate_command import evaluation
-from ground_tools.atmc.env.tasks import MAX_BYTES
 
-_SAMPLES = {5: 200, 10: 100, 20: 30, 50: 5}
+SAMPLES = {5: 200, 10: 100, 20: 30, 50: 5}
 """Sets of positions in each square, by fleet size, for the results that a frozen file contains."""
 
 
@@ -46,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     """
     evaluate = evaluation()
     source = args.folder / "policy.safetensors"
-    metadata, tensors = policy_file.read(evaluate.read_policy(source), str(source), MAX_BYTES)
+    metadata, tensors = policy_file.read(evaluate.read_policy(source), str(source))
     name = args.name or args.out.name.removesuffix(".safetensors")
     price = metadata.switch_price if args.switch_price is None else args.switch_price
     if not 0.0 <= price <= 10.0:
@@ -58,9 +57,9 @@ def run(args: argparse.Namespace) -> int:
         switch_price=price,
         training_config_sha256=hashlib.sha256(config).hexdigest(),
     )
-    data = policy.encode(metadata, tensors, max_bytes=MAX_BYTES)
+    data = policy.encode(metadata, tensors)
     results = _results(evaluate, data, str(args.out), metadata)
-    data = policy.encode(msgspec.structs.replace(metadata, results=results), tensors, max_bytes=MAX_BYTES)
+    data = policy.encode(msgspec.structs.replace(metadata, results=results), tensors)
     try:
         args.out.write_bytes(data)
     except OSError as error:
@@ -73,12 +72,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _results(evaluate: Any, data: bytes, name: str, metadata: Any) -> dict[str, float]:
     """Results for the file: delay or age (ms) of policy, best fixed mode, rule and search, by fleet size."""
-    sizes = [metadata.neighbours + 1] if metadata.kind == "flat" else list(_SAMPLES)
+    sizes = [metadata.neighbours + 1] if metadata.kind == "flat" else list(SAMPLES)
     results = {}
     for uavs in sizes:
         if uavs > metadata.neighbours + 1:
             continue
-        question = evaluate.Question(metadata.objective, uavs=uavs, samples=_SAMPLES.get(uavs, 100))
+        question = evaluate.Question(metadata.objective, uavs=uavs, samples=SAMPLES.get(uavs, 100))
         found = evaluate.evaluate(data, name, question)
         for key in ("dynamic_ms", "best_fixed_dynamic_ms", "rule_dynamic_ms", "search_dynamic_ms"):
             results[f"uavs{uavs}_{key}"] = float(found[key])

@@ -19,9 +19,6 @@ from sitl_mocks.channel.parameters import (
 
 ObjectiveName = Literal["paper", "awareness"]
 RegionName = Literal["none", "us", "eu"]
-MAX_BYTES: Final = 4_000_000
-"""Size limit of a policy file on the ground. Ten of the paper's networks take 2.3 MB. They never fly; the
-loader aboard enforces a lower limit."""
 
 AWARENESS_CHANNEL: Final = ChannelParameters(
     bluetooth_half_duplex=True,

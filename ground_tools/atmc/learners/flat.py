@@ -21,7 +21,6 @@ from companion.atmc import policy, policy_file
 from companion.atmc.actions import Action
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
 from ground_tools.atmc.env.environment import Observation
-from ground_tools.atmc.env.tasks import MAX_BYTES
 
 COLUMNS = ("log_distance", "ble4", "ble5", "wifi", "ble4_rate", "ble5_rate", "wifi_rate")
 """Columns of each neighbour; one more column follows, which is 1 if the neighbour is heard."""
@@ -149,7 +148,7 @@ def frozen(
         for index, row in enumerate(_array(examples))
     )
     metadata = msgspec.structs.replace(metadata, golden=golden)
-    return policy.encode(metadata, tensors, max_bytes=MAX_BYTES)
+    return policy.encode(metadata, tensors)
 
 
 def thawed(data: bytes, name: str) -> Stack:
@@ -158,7 +157,7 @@ def thawed(data: bytes, name: str) -> Stack:
     Raises:
         PolicyError: The file is invalid; the message names the file and the fault.
     """
-    _, tensors = policy_file.read(data, name, MAX_BYTES)
+    _, tensors = policy_file.read(data, name)
     layers = [(tensors[f"layer{i}.weight"], tensors[f"layer{i}.bias"]) for i in range(len(tensors) // 2)]
     networks, _, first = layers[0][0].shape
     sizes = (first, *(bias.shape[1] for _, bias in layers))

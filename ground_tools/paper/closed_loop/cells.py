@@ -6,6 +6,7 @@ With this layout a method can be added later, and an interrupted run can be cont
 from __future__ import annotations
 
 import hashlib
+from functools import cache
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import msgspec
 
 from ground_tools.common.kept_lines import Kept
 from ground_tools.paper.closed_loop.flights import FILE, METHODS, Flight, Row
+from ground_tools.results import sources
 
 
 def cell(folder: Path, flight: Flight, crowd: int) -> Kept[Row]:
@@ -28,7 +30,13 @@ def cell(folder: Path, flight: Flight, crowd: int) -> Kept[Row]:
         ConfigError: the file was made with other settings, or cannot be read.
     """
     path = folder / f"{flight.condition}-{flight.method}.jsonl"
-    return Kept(path, _made_with(flight, crowd), Row, attrgetter("encounter"))
+    return Kept(path, _made_with(flight, crowd), Row, attrgetter("encounter"), _software())
+
+
+@cache
+def _software() -> str:
+    """Digest of the code that flies."""
+    return sources.digest(["ground_tools.paper.closed_loop.flights"])
 
 
 def _made_with(flight: Flight, crowd: int) -> dict[str, Any]:

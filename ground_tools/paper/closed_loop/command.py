@@ -141,26 +141,40 @@ def plan(args: argparse.Namespace, folder: Path) -> tuple[Cells, list[tuple[tupl
     Raises:
         ConfigError: a file cannot be read, or is wrong.
     """
+    cells: Cells = {}
+    missing = []
+    for condition in args.conditions:
+        for method in args.methods:
+            flights = flights_of(args, condition, method)
+            kept = cells[condition, method] = cell(folder, flights[0], _side_by_side(args, condition))
+            missing += [((condition, method), f) for f in flights if not set(f.seeds) <= kept.rows.keys()]
+    return cells, missing
+
+
+def flights_of(args: argparse.Namespace, condition: str, method: str) -> list[Flight]:
+    """All runs of a condition and a method.
+
+    Raises:
+        ConfigError: a file cannot be read, or is wrong.
+    """
     region = scenario_file.load_region(args.region)
     channel = parameters.load(_CONFIG / "channel" / "standard.toml")
     policy = None
-    if ATMC in args.methods:
+    if method == ATMC:
         wanted = scenario_file.Scenario(atmc=AtmcConfig(policy=str(args.policy)), region=region)
         try:
             policy = read_policy(wanted)
         except ConfigError as error:
             raise ConfigError(f"--policy: {error}; --methods without {ATMC} needs no policy") from error
-    cells: Cells = {}
-    missing = []
-    for condition in args.conditions:
-        size = args.crowd if condition == DENSE else 1
-        for method in args.methods:
-            # Without avoidance the radio environment has no effect on the flight.
-            runs = seeds_of(args.seed, args.encounters, 1 if method == UNAVOIDED else size)
-            flights = [Flight(condition, method, seeds, region, channel, policy) for seeds in runs]
-            kept = cells[condition, method] = cell(folder, flights[0], size)
-            missing += [((condition, method), f) for f in flights if not set(f.seeds) <= kept.rows.keys()]
-    return cells, missing
+    # Without avoidance the radio environment has no effect on the flight.
+    size = 1 if method == UNAVOIDED else _side_by_side(args, condition)
+    runs = seeds_of(args.seed, args.encounters, size)
+    return [Flight(condition, method, seeds, region, channel, policy) for seeds in runs]
+
+
+def _side_by_side(args: argparse.Namespace, condition: str) -> int:
+    """Number of encounters that share one radio environment."""
+    return int(args.crowd) if condition == DENSE else 1
 
 
 def seeds_of(seed: int, encounters: int, size: int) -> list[tuple[int, ...]]:

@@ -21,7 +21,6 @@ from companion.atmc.choice import Refused
 from companion.atmc.observation import NEIGHBOUR_COLUMNS
 from companion.atmc.policy import Policy, load
 from companion.errors import ConfigError
-from ground_tools.atmc.env.tasks import MAX_BYTES
 from ground_tools.atmc.env.torch_setup import set_up_torch
 from ground_tools.channel.options import UAVS
 from ground_tools.common.figure import drawn
@@ -152,7 +151,7 @@ def timed(decisions: int, seed: int, folder: Path = POLICIES) -> Found:
     timings, notes = [], []
     for path in sorted(folder.glob("*.safetensors")):
         data = _bytes(path)
-        policy = load(data, str(path), max_bytes=MAX_BYTES)
+        policy = load(data, str(path))
         for neighbours in NEIGHBOURS[policy.metadata.kind]:
             times = times_ms(policy, neighbours, decisions)
             if isinstance(times, Refused):

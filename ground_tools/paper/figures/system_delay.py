@@ -29,6 +29,8 @@ PAPERS: Final = (*LEARNERS, BLE4, BLE5, WIFI_BEACON, "random")
 NEAR: Final = 0.1
 """Relative difference of two delays up to which they count as close; above it, one counts as significantly
 higher."""
+_WIDTH: Final = 0.88
+"""Width of a group of bars."""
 COLOURS: Final = {
     **convergence.COLOURS,
     **plot.COLOURS,
@@ -75,8 +77,9 @@ def report(samples: int, seed: int, path: Path = CONVERGENCE, policy: Path = SET
             *(one.words for one in learners),
             *absent(results),
             *not_measured(found, policy),
-            f"Learners: the policies of the best validation, {results.configurations:,} environments of each "
-            "size. ±: bootstrap error over seeds; one seed gives none.",
+            f"Learners: the networks at the end of the runs, {results.configurations:,} environments of each "
+            "size. ±: bootstrap error over seeds; one seed gives none. Those of the best validation of each "
+            "run, chosen afterwards, are a row of their own (best) and a circle in the picture.",
             f"Other methods: {samples:,} environments of each size. ±: Monte Carlo standard error.",
             "All Wi-Fi on one channel, sigma 0 dB. rate: the rate of least mean delay over all six sizes.",
         ),
@@ -192,6 +195,7 @@ def comparisons(table: Table, learners: Sequence[Learner], found: Sequence[Delay
         **{one.key: (one.name, "-", one.seeds) for one in learners},
         **{method.key: (method.name, method.rate, None) for method in found},
     }
+    best = {one.key: one for one in learners}
     rows = []
     for key, bars in table.items():
         name, rate, seeds = names[key]
@@ -208,6 +212,12 @@ def comparisons(table: Table, learners: Sequence[Learner], found: Sequence[Delay
                 if seeds > 1:
                     labels |= {"low_ms": bar.low_ms, "high_ms": bar.high_ms}
             rows.append(Comparison(name, labels, bar.ms, bar.error_ms, PUBLISHED_MS.get((key, density))))
+            if key in best:
+                labels = {k: v for k, v in labels.items() if k not in ("low_ms", "high_ms")}
+                chosen = best[key].best[density]
+                rows.append(
+                    Comparison(f"{name}, best", {**labels, "networks": "best"}, chosen, math.nan, None)
+                )
     return rows
 
 
@@ -228,7 +238,12 @@ def draw(samples: int, seed: int, path: Path, source: Path = CONVERGENCE, policy
         figure.suptitle("System delay; thin lines: 95 % intervals", fontsize=16, fontweight="bold")
         for index, (key, bars) in enumerate(table.items()):
             _bars(axes, index, len(table), key, names[key], list(bars.values()))
+            for one in learners:
+                if one.key == key:
+                    places = _places(index, len(table), len(one.best))
+                    axes.plot(places, list(one.best.values()), "o", ms=5, mfc="none", mec="black", mew=1.2)
         axes.plot([], [], color="black", lw=2.5, label="published")
+        axes.plot([], [], "o", ms=5, mfc="none", mec="black", mew=1.2, label="best validation")
         axes.set_xticks(range(len(DENSITIES)), [f"{density} density" for density in DENSITIES])
         axes.set_yscale("log")
         axes.set_ylabel("system delay (ms, log scale)")
@@ -239,10 +254,14 @@ def draw(samples: int, seed: int, path: Path, source: Path = CONVERGENCE, policy
         figure.legend(loc="outside lower center", ncols=5, frameon=False)
 
 
+def _places(index: int, number: int, groups: int) -> list[float]:
+    """Where the bars of a method are, one in each group of `number` bars."""
+    return [group + (index - (number - 1) / 2.0) * _WIDTH / number for group in range(groups)]
+
+
 def _bars(axes: Any, index: int, number: int, key: str, name: str, bars: Sequence[Bar]) -> None:
     """Draw the bars of one method over all densities."""
-    width = 0.88 / number
-    places = [group + (index - (number - 1) / 2.0) * width for group in range(len(bars))]
+    width, places = _WIDTH / number, _places(index, number, len(bars))
     axes.bar(
         places,
         [bar.ms for bar in bars],

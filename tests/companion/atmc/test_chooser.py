@@ -13,7 +13,7 @@ from companion import event_record, replay
 from companion.atmc import chooser as chooser_module
 from companion.atmc.actions import SET_ACTIONS
 from companion.atmc.choice import Refused, Why
-from companion.atmc.policy import Bounds
+from companion.atmc.policy import Bounds, Policy
 from companion.atmc.rule import FIXED_SETS
 from companion.config import AtmcConfig, IdentityConfig
 from companion.core import Companion
@@ -292,6 +292,19 @@ def test_never_illegal_over_a_flight_of_changing_radios(bench, word):
     changes = [c for _, c in made.log if isinstance(c, BroadcastChanged)]
     assert len(changes) > 5
     assert all(c.legal for c in changes if c.rates)
+
+
+def test_each_aircraft_flies_its_own_network_of_a_policy_that_holds_several(bench, monkeypatch):
+    policy, asked, choose = policy_file("flat", agents=2), [], Policy.choose
+    monkeypatch.setattr(Policy, "choose", lambda self, *a: asked.append(a[4]) or choose(self, *a))
+    made = bench(policy, agent=1)
+    made.step(90)
+    assert set(asked) == {1}
+    assert not said(made)
+    made = bench(policy)
+    made.step(90)
+    assert set(asked) == {1}
+    assert "atmc.agent must say which one flies: 0 to 1" in said(made)[0].text
 
 
 def test_the_fall_back_is_the_chooser_of_last_resort():

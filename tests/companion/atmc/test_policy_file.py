@@ -48,12 +48,16 @@ def test_a_file_gives_the_same_policy_again(kind):
     assert msgspec.structs.replace(policy.metadata, checksum="") == meta
     own, rows = observation(np.random.default_rng(7), 5)
     assert (policy.values(own, rows) == Policy(meta, parts, "x").values(own, rows)).all()
-    check_flyable(policy)
+    check_flyable(policy, None)
 
 
-def test_networks_of_one_aircraft_each_do_not_fly():
-    with pytest.raises(PolicyError, match="holds 2 networks"):
-        check_flyable(load(policy_file("flat", agents=2), "x"))
+def test_of_networks_for_one_aircraft_each_the_one_that_flies_is_configured():
+    policy = load(policy_file("flat", agents=2), "x")
+    with pytest.raises(PolicyError, match=r"holds 2 networks, .*; atmc.agent must say which one flies"):
+        check_flyable(policy, None)
+    with pytest.raises(PolicyError, match=r"atmc.agent: 2 is out of range; allowed: 0 to 1"):
+        check_flyable(policy, 2)
+    check_flyable(policy, 1)
 
 
 def parts_of(data):
@@ -110,7 +114,7 @@ DAMAGES = {
     "empty": (lambda meta, parts: b"", "not a safetensors file"),
     "text": (lambda meta, parts: b"hello, I am not a policy at all", "not a safetensors file"),
     "torn": (lambda meta, parts: put(meta, parts)[:-9], "not a safetensors file"),
-    "large": (lambda meta, parts: bytes(MAX_BYTES + 1), "a policy has at most 1000000"),
+    "large": (lambda meta, parts: bytes(MAX_BYTES + 1), "a policy has at most 4000000"),
     "no metadata": (lambda meta, parts: safetensors.numpy.save(parts), "missing or damaged"),
     "other metadata": (lambda meta, parts: safetensors.numpy.save(parts, {"a": "b"}), "missing or damaged"),
     "no JSON": (lambda meta, parts: put("{", parts), "missing or damaged"),

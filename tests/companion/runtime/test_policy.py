@@ -79,7 +79,7 @@ def test_only_other_radios_follow(make_config):
         (None, r"good\.safetensors: cannot be read: No such file"),
         (b"hello", "not a safetensors file"),
         (bytes(MAX_BYTES + 5), f"atmc.policy: .*: too large: a policy has at most {MAX_BYTES} bytes"),
-        (policy_file("flat", agents=2), "use one with agents = 1"),
+        (policy_file("flat", agents=2), "atmc.agent must say which one flies: 0 to 1"),
     ],
 )
 def test_check_says_what_is_wrong_and_is_not_ready(load, content, words):

@@ -78,7 +78,7 @@ def test_a_frozen_run_is_the_policy_that_flies(folder, tmp_path, capsys):
     out = tmp_path / "best.safetensors"
     assert freeze(folder, out, "--name", "Our best") == 0
     made, source = (load(path.read_bytes(), path.name) for path in (out, folder / "policy.safetensors"))
-    check_flyable(made)
+    check_flyable(made, None)
     m = made.metadata
     assert m.name == "Our best"
     assert m.training_config_sha256 == hashlib.sha256((folder / "config.toml").read_bytes()).hexdigest()

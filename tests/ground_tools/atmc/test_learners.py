@@ -14,7 +14,7 @@ from companion.atmc import policy
 from ground_tools.atmc.env.environment import Env, EnvSettings
 from ground_tools.atmc.env.paper_task import PaperTask, TaskSettings, measure
 from ground_tools.atmc.learners.algorithms import ALGORITHMS
-from ground_tools.atmc.learners.flat import MAX_BYTES, Stack, clipped, flat, frozen, soft_update, thawed
+from ground_tools.atmc.learners.flat import Stack, clipped, flat, frozen, soft_update, thawed
 from ground_tools.atmc.learners.iac import discounted
 from ground_tools.atmc.learners.madqn import Madqn, MadqnSettings, exploration_rate, td_target
 from ground_tools.atmc.learners.replay_buffer import Replay
@@ -184,7 +184,7 @@ def test_a_frozen_policy_chooses_as_the_network_does():
     env = Env(EnvSettings(), task.objective, 20, 4, torch.Generator().manual_seed(2))
     stack = Stack(4, (task.inputs, 16, 30), torch.Generator().manual_seed(3))
     data = frozen(stack, task.actions, "x", {}, task.examples())
-    file = policy.load(data, "x", max_bytes=MAX_BYTES)
+    file = policy.load(data, "x")
     assert same(dict(thawed(data, "x").state_dict()), dict(stack.state_dict()))
     seen = env.observe()
     wanted = stack.of_all(flat(seen)).detach().numpy()
@@ -234,7 +234,7 @@ def test_the_seed_decides(algorithm):
 def test_its_file_is_a_policy(algorithm):
     learner = tiny(algorithm)
     data = learner.frozen("name", {"delay_ms": 1.0})
-    found = policy.load(data, "name", max_bytes=MAX_BYTES)
+    found = policy.load(data, "name")
     assert found.metadata.agents == (1 if algorithm == "madqn-shared" else 4)
     assert found.metadata.results == {"delay_ms": 1.0}
 

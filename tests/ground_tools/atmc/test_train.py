@@ -23,7 +23,6 @@ from ground_tools import cli
 from ground_tools.atmc.commands.results import Results, read, write
 from ground_tools.atmc.learners import training
 from ground_tools.atmc.learners.algorithms import ALGORITHMS
-from ground_tools.atmc.learners.flat import MAX_BYTES
 
 TINY = """
 episodes = 4
@@ -79,7 +78,7 @@ def test_run_folder(config, tmp_path, capsys):
     assert [row["episode"] for row in found] == ["1", "2", "3", "4"]
     assert [bool(row["validation_score"]) for row in found] == [False, True, False, True]
     assert {"reward", "delay_ms", "loss", "exploration", "reward_uav3", "delay_ms_uav3"} <= found[0].keys()
-    best = policy.load((folder / "policy.safetensors").read_bytes(), "best", max_bytes=MAX_BYTES)
+    best = policy.load((folder / "policy.safetensors").read_bytes(), "best")
     scores = [float(row["validation_score"]) for row in found if row["validation_score"]]
     assert best.metadata.results["score"] == pytest.approx(min(scores))
     again = training.resumed_job(folder, None, None).settings

@@ -168,6 +168,20 @@ def test_a_cell_is_read_again_and_refuses_other_settings(tmp_path):
         cell_of(tmp_path, flight(), 3)
 
 
+def test_rows_of_other_software_are_read_but_not_mixed_with_new_ones(tmp_path):
+    cell = cell_of(tmp_path, flight(), 1)
+    cell.add([row(1)])
+    text = cell.path.read_text()
+    assert '"software": "' in text
+    other = text.replace('"software": "', '"software": "0')
+    cell.path.write_text(other)
+    old = cell_of(tmp_path, flight(), 1)
+    assert old.rows == {1: row(1)}
+    with pytest.raises(ConfigError, match="made by other software, and are not mixed"):
+        old.add([row(2)])
+    assert cell.path.read_text() == other
+
+
 def test_another_policy_is_another_cell(tmp_path):
     cell_of(tmp_path, flight(method=ATMC, policy=b"one"), 1).add([row(1)])
     with pytest.raises(ConfigError, match="policy: "):

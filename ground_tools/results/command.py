@@ -1,0 +1,135 @@
+"""The command `ground-tools results`: tells which kept results today's software still makes."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, Literal
+
+import msgspec
+from rich.console import Console
+
+from companion.errors import ConfigError
+from ground_tools.common.progress import progress
+from ground_tools.results import kept, provenance
+from ground_tools.results.kept import Entry
+
+Status = Literal["current", "unchanged", "outdated", "unknown"]
+_WORDS: Final = {
+    "current": "made by today's code and data",
+    "unchanged": "made by other code or data; a sample made again is the same",
+    "outdated": "not what today's software makes",
+    "unknown": "made by unknown code",
+}
+_SHOWN: Final = 3
+"""Names of changed sources, or differences of a sample, that are shown of each file."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `ground-tools results`."""
+    parser.description = "Find out which of the kept results today's software still makes."
+    actions = parser.add_subparsers(dest="action", required=True, metavar="COMMAND")
+    verify = actions.add_parser(
+        "verify",
+        help="compare the code and data that made each file with today's",
+        description="Compare the code and data that made each kept file with today's. Exit code 1 if a file "
+        "is not known to be what today's software makes.",
+        epilog="examples: ground-tools results verify; ground-tools results verify --sample results/campaign",
+    )
+    record = actions.add_parser(
+        "record",
+        help="record today's code and data for files that were just made",
+        description="Record today's code and data beside each file, after a sample of it was made again and "
+        "was the same. Nothing is recorded for the others; exit code 1 if there are any.",
+    )
+    for command in (verify, record):
+        command.add_argument("paths", nargs="*", type=Path, metavar="PATH",
+                             help="files, or folders that hold them (default: all kept files)")  # fmt: skip
+    verify.add_argument("--sample", action="store_true", help="make a sample of each file again and compare")
+    record.add_argument(
+        "--made", action="store_true", help="today's software made the whole files, not only a sample"
+    )
+    verify.set_defaults(run=run_verify)
+    record.set_defaults(run=run_record)
+
+
+def run_verify(args: argparse.Namespace) -> int:
+    """Run `ground-tools results verify`. Returns 0 if all files are current or unchanged, else 1.
+
+    Raises:
+        ConfigError: a path names no kept file, or a record cannot be read.
+    """
+    words, worst = Console(), 0
+    chosen = chosen_of(args.paths)
+    with progress("files", len(chosen)) as advance:
+        for entry in chosen:
+            status, why = status_of(entry, sample=args.sample)
+            words.print(f"{entry.name}: {_WORDS[status]}", soft_wrap=True, highlight=False)
+            for line in why[:_SHOWN]:
+                words.print(f"    {line}", soft_wrap=True, highlight=False)
+            if len(why) > _SHOWN:
+                words.print(f"    and {len(why) - _SHOWN} more", highlight=False)
+            if status in ("outdated", "unknown"):
+                words.print(f"    make it again: {entry.command}", soft_wrap=True, highlight=False)
+                worst = 1
+            advance()
+    return worst
+
+
+def run_record(args: argparse.Namespace) -> int:
+    """Run `ground-tools results record`. Returns 0 if every file was recorded, else 1.
+
+    Raises:
+        ConfigError: a path names no kept file, or a record cannot be written.
+    """
+    words, worst = Console(), 0
+    for entry in chosen_of(args.paths):
+        differences = entry.remake(entry.path)
+        if differences:
+            worst = 1
+            words.print(f"{entry.name}: not recorded: {differences[0]}", soft_wrap=True, highlight=False)
+            continue
+        evidence: Literal["made", "sample"] = "made" if args.made else "sample"
+        provenance.write(entry.path, msgspec.structs.replace(entry.now(), evidence=evidence))
+        words.print(f"{entry.name}: recorded", soft_wrap=True, highlight=False)
+    return worst
+
+
+def chosen_of(paths: Sequence[Path]) -> list[Entry]:
+    """The kept files that are named, or that lie in the folders that are named; all if none is named.
+
+    Raises:
+        ConfigError: a path names no kept file.
+    """
+    entries = kept.entries()
+    if not paths:
+        return entries
+    chosen = []
+    for path in map(Path.resolve, paths):
+        inside = [entry for entry in entries if entry.path == path or path in entry.path.parents]
+        if not inside:
+            raise ConfigError(f"{path}: this is no kept result; allowed: the files that `verify` lists")
+        chosen += inside
+    return list(dict.fromkeys(chosen))
+
+
+def status_of(entry: Entry, *, sample: bool) -> tuple[Status, list[str]]:
+    """Whether a file is what today's software makes, and why not, in words.
+
+    Args:
+        sample: make a sample of the file again, whatever its record says.
+
+    Raises:
+        ConfigError: a file cannot be read.
+    """
+    record = provenance.read(entry.path)
+    changed = [] if record is None else provenance.changes(record, entry.now())
+    if sample:
+        differences = entry.remake(entry.path)
+        if differences:
+            return "outdated", differences
+        return ("current", []) if record is not None and not changed else ("unchanged", changed)
+    if record is None:
+        return "unknown", []
+    return ("outdated", [f"changed since: {name}" for name in changed]) if changed else ("current", [])

@@ -1,0 +1,135 @@
+"""The kept results: on what the content of each file depends, and how a sample of it is made again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from ground_tools.results import provenance
+from ground_tools.results.provenance import Provenance
+from ground_tools.results.sources import ROOT
+
+_FLIGHT: Final = ("ground_tools.campaign.flight", "ground_tools.campaign.generators")
+_CHANNEL: Final = ROOT / "config" / "channel" / "standard.toml"
+_TRAINED: Final = ("numpy", "torch")
+_FLOWN: Final = ("numba", "numpy")
+
+Remake = Callable[[Path], list[str]]
+"""Makes a sample of a file again. Returns what differs from the file, in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One kept file."""
+
+    name: str
+    """Path in the checkout."""
+    command: str
+    """The command that makes it."""
+    roots: tuple[str, ...]
+    """Modules that compute its content."""
+    remake: Remake
+    data: tuple[Path, ...] = ()
+    """Data files on which its content depends."""
+    packages: tuple[str, ...] = _FLOWN
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return ROOT / self.name
+
+    def now(self) -> Provenance:
+        """Its record if it were made by today's software."""
+        return provenance.now(self.command, self.roots, self.data, self.packages)
+
+
+def _campaign(path: Path) -> list[str]:
+    from ground_tools.results import samples
+
+    return samples.campaign_table(path)
+
+
+def _closed_loop(path: Path) -> list[str]:
+    from ground_tools.results import samples
+
+    return samples.closed_loop_cell(path)
+
+
+def _training(path: Path) -> list[str]:
+    from ground_tools.results import training_samples
+
+    return training_samples.training(path)
+
+
+def _policy(path: Path) -> list[str]:
+    from ground_tools.results import training_samples
+
+    return training_samples.policy(path)
+
+
+def entries() -> list[Entry]:
+    """All kept files, in the order of their names."""
+    found = [*_tables(), *_flown(), *_trained()]
+    return sorted(found, key=lambda entry: entry.name)
+
+
+def _tables() -> list[Entry]:
+    from ground_tools.campaign.tables import TABLES
+
+    twins = {"twins", "twins-lost"}
+    return [
+        Entry(
+            f"results/campaign/{name}.json",
+            f"ground-tools campaign table {name} --file results/campaign/{name}.json",
+            ("ground_tools.campaign.twins", *_FLIGHT) if name in twins else _FLIGHT,
+            _campaign,
+        )
+        for name in TABLES
+    ]
+
+
+def _flown() -> list[Entry]:
+    from ground_tools.paper.closed_loop.flights import ATMC, CONDITIONS, METHODS
+
+    policy = ROOT / "config" / "policies" / "atmc.safetensors"
+    region = ROOT / "config" / "regions" / "us.toml"
+    return [
+        Entry(
+            f"results/atmc/closed-loop/{condition}-{method}.jsonl",
+            f"ground-tools paper closed-loop --out results/atmc --conditions {condition} --methods {method}",
+            ("ground_tools.paper.closed_loop.flights",),
+            _closed_loop,
+            (_CHANNEL, region, policy) if method == ATMC else (_CHANNEL, region),
+        )
+        for condition in CONDITIONS
+        for method in METHODS
+    ]
+
+
+def _trained() -> list[Entry]:
+    learners = "ground_tools.atmc.learners"
+    roots = {
+        "madqn": f"{learners}.madqn",
+        "madqn-shared": f"{learners}.madqn",
+        "maddpg": f"{learners}.maddpg",
+        "iac": f"{learners}.iac",
+        "set": f"{learners}.flying_policy",
+    }
+    found = [
+        Entry(
+            "results/atmc/convergence.json.gz",
+            "ground-tools atmc train --algorithm NAME --seeds 1-5, then ground-tools atmc collect RUN...",
+            tuple(sorted({*roots.values()} - {roots["set"]})),
+            _training,
+            packages=_TRAINED,
+        )
+    ]
+    made = "ground-tools atmc train --algorithm {} --seed N, then ground-tools atmc freeze RUN --out {}"
+    policies = {f"results/policies/paper-{name}.safetensors": (name, root) for name, root in roots.items()}
+    policies["config/policies/atmc.safetensors"] = ("flying", roots["set"])
+    for file, (name, root) in policies.items():
+        algorithm = "set-paper" if name == "set" else name
+        found.append(Entry(file, made.format(algorithm, file), (root,), _policy, packages=_TRAINED))
+    return found

@@ -1,0 +1,47 @@
+"""Flies a sample of the kept flights again."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ground_tools.campaign import cells as campaign
+from ground_tools.campaign import tables
+from ground_tools.common.kept_lines import read_lines
+from ground_tools.paper.closed_loop import command as closed_loop
+from ground_tools.paper.closed_loop.flights import Row, rows_of
+
+
+def campaign_table(path: Path) -> list[str]:
+    """Fly the first seed of every line of a campaign's table again. Returns what differs, in words."""
+    table = tables.read(path)
+    found = []
+    for line in table.lines:
+        if line.first is None:
+            return ["the file holds no single flight to compare with"]
+        (again,) = campaign.fly(line.cell, [line.first.seed])
+        if again != line.first:
+            found.append(
+                f"{line.cell.name}, seed {line.first.seed}: least separation {line.first.separation_m:g} m, "
+                f"now {again.separation_m:g} m"
+            )
+    return found
+
+
+def closed_loop_cell(path: Path) -> list[str]:
+    """Fly the first run of a file of the closed loop again. Returns what differs, in words."""
+    condition, _, method = path.stem.partition("-")
+    parser = argparse.ArgumentParser()
+    closed_loop.add_arguments(parser)
+    parser.add_argument("--seed", type=int, default=1)
+    args = parser.parse_args(["--conditions", condition, "--methods", method])
+    _, lines = read_lines(path, Row)
+    kept = {row.encounter: row for row in lines}
+    first = closed_loop.flights_of(args, condition, method)[0]
+    found = []
+    for again in rows_of(first):
+        row = kept.get(again.encounter)
+        if row != again:
+            before = "missing" if row is None else f"least separation {row.least_separation_m:.2f} m"
+            found.append(f"encounter {again.encounter}: {before}, now {again.least_separation_m:.2f} m")
+    return found
