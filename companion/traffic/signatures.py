@@ -9,8 +9,8 @@ Messages are encoded again for this, because only decoded ones are kept. A Locat
 without reserved bits gives the same bytes; of other senders nothing is proven.
 
 Replays: the text leaves the window to the sender (VNB to VNA, two minutes or more). Here evidence also counts
-only for `FRESH_S` after its VNB, never if it is older than the last evidence from the same address, and only from
-the address from which it was heard first.
+only for `FRESH_S` after its VNB, never if it is older than the last evidence from the same address, and only
+from the address from which it was heard first.
 """
 
 from __future__ import annotations
