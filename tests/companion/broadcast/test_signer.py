@@ -148,6 +148,23 @@ def test_without_utc_or_broadcasts_nothing_is_added():
     assert all(not signer.add([], 7.1 + 0.1 * k, UTC_S + 7.0) for k in range(200)), "the transport was left"
 
 
+@pytest.mark.parametrize(
+    "utc_s", [0.0, -5.0, 1_420_070_400.0, 1_546_300_779.0, 1_546_300_800 + 2**32 - 60.0, 1e12, float("nan")]
+)
+def test_a_clock_that_is_years_off_ends_the_signatures_and_nothing_else(utc_s):
+    """A GNSS receiver without a fix, or one forged SYSTEM_TIME; then the right time."""
+    signer = a_signer()
+    for start_s, clock_s, signed in ((0.0, utc_s, False), (20.0, UTC_S, True)):
+        added = 0
+        for step in range(400):
+            t = start_s + step * STEP_S
+            core = [Broadcast(transport="wifi", messages=messages_at(t))] if step % 20 == 0 else []
+            sent = signer.add(core, t, clock_s + t)
+            assert sent[: len(core)] == core
+            added += len(sent) - len(core)
+        assert (added > 5) is signed
+
+
 def test_what_is_remembered_is_bounded():
     signer = a_signer(period_s=4.0)
     for k in range(2000):

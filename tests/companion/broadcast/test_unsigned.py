@@ -58,7 +58,7 @@ def flown(region, transports, rate, can_send, channel) -> tuple[int, str]:
     digest, frames = hashlib.sha256(), 0
     for number in range(600):
         bench.north_m, bench.velocity_ned_mps = 0.3 * number, (6.0, 0.1 * (number % 7), -0.2)
-        bench.armed = 40 <= number
+        bench.armed = number >= 40
         if number == 100:
             operator = System(
                 operator_location_type=OperatorLocationType.LIVE_GNSS,
