@@ -22,7 +22,7 @@ from operator import itemgetter
 
 import msgspec
 
-from companion.avoidance.law import SIGMAS, Neighbour
+from companion.avoidance.law import ASIDE, SIGMAS, Neighbour
 from companion.config import AvoidanceConfig, TrafficConfig
 from companion.events import RemoteIdHeard, Say, TrackFlagged
 from companion.geometry import LocalFrame, Vec3
@@ -218,7 +218,7 @@ class Traffic:
     def _aside(self, now_s: float, present: list[Neighbour]) -> list[Neighbour]:
         """Where else tracks were lately reported to be; at most `_MOST_ASIDE`, those to be lost first."""
         aside = [
-            (self._loss_s(belief), f"{other.track_id}~{number}", other, belief)
+            (self._loss_s(belief), f"{other.track_id}{ASIDE}{number}", other, belief)
             for other, track in zip(present, self.tracks.values(), strict=True)
             for number, belief in enumerate(track.aside, 1)
             if now_s - belief.agreed_s <= track.silent_after_s
