@@ -131,21 +131,19 @@ class Belief(NamedTuple):
     def agrees(self, other: Belief) -> bool:
         """Whether this one predicts the other state, but for noise and a gentle manoeuvre."""
         passed_s = other.at_s - self.at_s
-        north, east, down = (
-            q - p - passed_s * v for p, v, q in zip(self.position, self.velocity, other.position, strict=True)
-        )
+        (n, e, d), (vn, ve, vd) = self.position, self.velocity
+        (on, oe, od), (ovn, ove, ovd) = other.position, other.velocity
         # Timestamps are the sender's: only the time that passed here leaves room for a manoeuvre.
-        passed_s = min(abs(passed_s), abs(other.told_s - self.told_s))
-        bent_m = 2.0 + 0.5 * _GENTLE_MPS2 * passed_s * passed_s
-        if math.hypot(north, east) > bent_m + 3.0 * math.hypot(self.sigma_m, other.sigma_m):
+        room_s = min(abs(passed_s), abs(other.told_s - self.told_s))
+        bent_m = 2.0 + 0.5 * _GENTLE_MPS2 * room_s * room_s
+        noise_m = 3.0 * math.sqrt(self.sigma_m * self.sigma_m + other.sigma_m * other.sigma_m)
+        if math.hypot(on - n - passed_s * vn, oe - e - passed_s * ve) > bent_m + noise_m:
             return False
-        if (
-            self.vertical_known
-            and other.vertical_known
-            and abs(down) > bent_m + 2.0 * (self.height_m + other.height_m)
-        ):
-            return False
-        return math.dist(self.velocity, other.velocity) <= _GENTLE_MPS + _GENTLE_MPS2 * passed_s
+        if self.vertical_known and other.vertical_known:
+            noise_m = 2.0 * (self.height_m + other.height_m)
+            if abs(od - d - passed_s * vd) > bent_m + noise_m:
+                return False
+        return math.hypot(ovn - vn, ove - ve, ovd - vd) <= _GENTLE_MPS + _GENTLE_MPS2 * room_s
 
 
 def hold(beliefs: list[Belief], told: Belief, now_s: float, least_s: float) -> None:
