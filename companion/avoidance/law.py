@@ -66,6 +66,10 @@ _LEAST_TURN_S = 0.01
 _by_id = attrgetter("track_id")
 
 
+ASIDE = "~"
+"""In a `Neighbour.track_id`, before the number of another place where the same track may be."""
+
+
 class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """One other aircraft as it was last received; NED."""
 

@@ -63,7 +63,6 @@ class Broadcaster:
         """Whether the broadcast has begun. It begins once a legal set of transports can be sent."""
         self._silent: frozenset[str] = frozenset()
         self._module = VehicleModule()
-        self._armed = False
         self._told: tuple[object, ...] | None = None
         self._said: str | None = None
         """The trouble last reported to the pilot."""
@@ -88,7 +87,7 @@ class Broadcaster:
             case OperatorData():
                 self._operator.hear(event.messages, now_s)
             case RemoteIdModule() if self._config.remote_id.yield_to_module:
-                self._module.observe(event, self._armed, now_s)
+                self._module.observe(event, now_s)
             case RemoteIdHeard():
                 if event.address in self._radio.own_addresses:
                     self._monitor.heard(event.transport, now_s)
@@ -164,7 +163,7 @@ class Broadcaster:
     def _watch_module(self, own: Ownship, now_s: float) -> list[Command]:
         """Resume our broadcast when the vehicle's module falls silent, also in flight: an aircraft with two
         identities is avoided, one with none is not."""
-        self._armed = own.armed
+        self._module.note_armed(own.armed)
         if not self._module.fell_silent(now_s):
             return []
         text = "DMUCA: the vehicle's Remote ID module fell silent; broadcasting instead"

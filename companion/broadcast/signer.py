@@ -28,6 +28,7 @@ from companion.remote_id.drip.det import Det
 from companion.remote_id.drip.evidence import HASHES_ADVISED, MANIFEST, NO_HASH, manifest_content, sign
 from companion.remote_id.drip.hashes import HASH_SIZE, message_hash
 from companion.remote_id.drip.link import Endorsement
+from companion.remote_id.drip.times import EPOCH_S
 from companion.remote_id.messages import Authentication, BasicId, Location, Message
 from companion.remote_id.transports import BLE4
 
@@ -39,6 +40,8 @@ PAGE_GAP_S: Final = 0.15
 """Least time between two pages on BLE 4."""
 VALID_S: Final = 120
 """From VNB to VNA (section 3.2.4.3)."""
+_UTC_S: Final = (EPOCH_S + 1.0, EPOCH_S + 2.0**32 - VALID_S - 2.0)
+"""Earliest and latest time of signing."""
 MAX_LINKS: Final = 5
 """Apex, RAA, HDA and our own need no more, and so many keep their periods."""
 _PACKS_HASHED: Final = 5
@@ -108,8 +111,11 @@ class Signer:
         Args:
             broadcasts: what the core sends in this step; it comes first and unchanged.
             now_s: monotonic time, not before the last call's.
-            utc_s: UTC; None while unknown. Nothing is signed then.
+            utc_s: UTC; None while unknown. Nothing is signed then, nor at a time that the format cannot
+                hold: a vehicle's clock may be years off.
         """
+        if utc_s is not None and not _UTC_S[0] <= utc_s <= _UTC_S[1]:
+            utc_s = None
         out = list(broadcasts)
         for broadcast in list(out):
             self._note(broadcast, now_s)

@@ -24,24 +24,27 @@ class VehicleModule:
         self.report: RemoteIdModule | None = None
         """Latest report of the module; None if there is no module."""
         self._candidate: RemoteIdModule | None = None
+        self._armed = False
         self._since_s = self._last_s = 0.0
 
-    def observe(self, event: RemoteIdModule, armed: bool, now_s: float) -> None:
-        """Take in OPEN_DRONE_ID_ARM_STATUS of another component of our vehicle.
+    def note_armed(self, armed: bool) -> None:
+        """Take in at each step whether the vehicle is armed.
 
         In flight no component becomes the module: our own broadcast is on the air by then, and two identities
-        of one aircraft are better than none.
-
-        Args:
-            armed: whether the vehicle is armed.
+        of one aircraft are better than none. Forged heartbeats between the true ones do not change that.
         """
+        self._armed = armed
+        if armed:
+            self._candidate = None
+
+    def observe(self, event: RemoteIdModule, now_s: float) -> None:
+        """Take in OPEN_DRONE_ID_ARM_STATUS of another component of our vehicle."""
         if self.report is not None:
             if event.component_id == self.report.component_id:
                 self.report, self._last_s = event, now_s
             return
         before = self._candidate
-        if armed:
-            self._candidate = None
+        if self._armed:
             return
         goes_on = before is not None and before.component_id == event.component_id
         if not goes_on or now_s - self._last_s > _GAP_S:

@@ -94,6 +94,7 @@ class Judge:
         if before is not None:
             track.split_from, track.hypothesis = before.track_id, True
             track.leapt = apart(before, fix, now_s)
+            track.inherit(here, fix, now_s)
         if track.leapt:
             earlier = max(t.doubts.evidence.get(Flag.JUMP, 0) for t in here)
             self.note(track, (Flag.JUMP,) * (earlier + _HOP))

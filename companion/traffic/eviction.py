@@ -92,6 +92,10 @@ class Judgement:
         self._separations = separation_m(avoidance, False), separation_m(avoidance, True)
         self._ahead_s = tuple(_HORIZONS * horizon_s(avoidance, crewed) for crewed in (False, True))
 
+    def loss_s(self, position: Vec3, velocity: Vec3) -> float:
+        """Time until separation from an aircraft would be lost that is there now; infinite: it would not."""
+        return self._loss(Motion(position, velocity, 0.0, LEAST_MARGIN_M))[1].loss_s
+
     def _loss(self, motion: Motion) -> tuple[Vec3, Approach, bool]:
         (n, e, d), (vn, ve, vd), age = motion.position, motion.velocity, motion.age_s
         (on, oe, od), (ovn, ove, ovd) = self.position, self.velocity

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.messages import Location
@@ -106,3 +107,80 @@ def _velocity(message: Location) -> Vec3 | None:
         return (0.0, 0.0, down) if message.speed_mps == 0.0 else None
     course = math.radians(message.direction_deg)
     return message.speed_mps * math.cos(course), message.speed_mps * math.sin(course), down
+
+
+# ---------------------------------------------------------------- what a fix says of its aircraft
+
+
+class Belief(NamedTuple):
+    """A state in which a track was reported; NED."""
+
+    at_s: float
+    told_s: float
+    """When it was received (our monotonic time)."""
+    agreed_s: float
+    """When a message that agrees with it was last received."""
+    position: Vec3
+    velocity: Vec3
+    sigma_m: float
+    sigma_mps: float
+    vertical_known: bool
+    height_m: float
+    """Error of the height that the sender declared."""
+
+    def agrees(self, other: Belief) -> bool:
+        """Whether this one predicts the other state, but for noise and a gentle manoeuvre."""
+        passed_s = other.at_s - self.at_s
+        (n, e, d), (vn, ve, vd) = self.position, self.velocity
+        (on, oe, od), (ovn, ove, ovd) = other.position, other.velocity
+        # Timestamps are the sender's: only the time that passed here leaves room for a manoeuvre.
+        room_s = min(abs(passed_s), abs(other.told_s - self.told_s))
+        bent_m = 2.0 + 0.5 * _GENTLE_MPS2 * room_s * room_s
+        noise_m = 3.0 * math.sqrt(self.sigma_m * self.sigma_m + other.sigma_m * other.sigma_m)
+        if math.hypot(on - n - passed_s * vn, oe - e - passed_s * ve) > bent_m + noise_m:
+            return False
+        if self.vertical_known and other.vertical_known:
+            noise_m = 2.0 * (self.height_m + other.height_m)
+            if abs(od - d - passed_s * vd) > bent_m + noise_m:
+                return False
+        return math.hypot(ovn - vn, ove - ve, ovd - vd) <= _GENTLE_MPS + _GENTLE_MPS2 * room_s
+
+
+def hold(beliefs: list[Belief], told: Belief, now_s: float, least_s: float) -> None:
+    """Add a belief, or put it in the place of one that agrees with it and is older by `least_s`."""
+    for number, belief in enumerate(beliefs):
+        if belief.agrees(told):
+            news = told.told_s - belief.told_s >= least_s
+            beliefs[number] = (told if news else belief)._replace(agreed_s=now_s)
+            return
+    beliefs.append(told)
+
+
+_GENTLE_MPS2, _GENTLE_MPS = 5.0, 2.5
+
+
+def belief_of(fix: Fix, velocity: Vec3, now_s: float) -> Belief:
+    """What a fix says that is received now.
+
+    Args:
+        velocity: the aircraft's, where the fix declares none.
+    """
+    return Belief(
+        at_s=now_s if fix.stamp_s is None else min(fix.stamp_s, now_s),
+        told_s=now_s,
+        agreed_s=now_s,
+        position=fix.position,
+        velocity=fix.velocity or velocity,
+        sigma_m=fix.sigma_m,
+        sigma_mps=fix.sigma_mps,
+        vertical_known=fix.vertical_known,
+        height_m=height_error_m(fix.content),
+    )
+
+
+def height_error_m(content: Location) -> float:
+    """Error of a height (m) that its sender declares; a default if it declares none."""
+    return content.vertical_accuracy_m or _HEIGHT_UNKNOWN_M
+
+
+_HEIGHT_UNKNOWN_M = 10.0

@@ -11,10 +11,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from companion.traffic.fix import Fix
+from companion.geometry import Vec3
+from companion.traffic.fix import Fix, height_error_m
 from companion.traffic.plausibility import Flag
 from companion.traffic.sender_details import Source
-from companion.traffic.track import CLOCKLESS_MOST_S, Track, beyond, flown, lead, near, off, reach
+from companion.traffic.track import (
+    CLOCKLESS_MOST_S,
+    HIGH_M,
+    Track,
+    beyond,
+    clock_error_s,
+    flown,
+    lead,
+    near,
+    off,
+    reach,
+)
 
 _JOINED_WITHIN_M = 15.0
 """Two tracks are merged only if they are this near to each other. An aircraft's positions on two transports
@@ -23,9 +35,13 @@ track."""
 _TWIN_MEMORY_S = 60.0
 """For this long after another track of the same identity was there, a track is matched only to messages near
 it; others may still be from the other aircraft."""
-_TURN_MPS2, _TURN_MPS = 12.0, 6.0
-"""A velocity may differ from the track's by `_TURN_MPS`, and by `_TURN_MPS2` times the time between. A module
-that pretends to circle, in one of the kept captures, turns by 27 m/s in a second."""
+_TURN_MPS2, _TURN_MPS = 6.0, 3.5
+"""A velocity may differ from the track's by `_TURN_MPS`, and by `_TURN_MPS2` times the time between."""
+_PRETENDED_MPS2, _PRETENDED_MPS = 12.0, 6.0
+"""The same for a sender without a usable clock. A module that pretends to circle, in one of the kept
+captures, turns by 27 m/s in a second."""
+_GROWS_S = 2.0
+"""For this long, what an aircraft may do grows even if two use its name."""
 _CLOCK_MPS = 5.0
 """Metres for which a second of difference between two clocks counts, where several tracks fit."""
 _OLD_M = 1000.0
@@ -68,7 +84,9 @@ def match(
             allowed = near(noise)
         else:
             away, allowed = beyond(track, fix, at), flown(elapsed, noise)
-        if away > allowed or not (others or _same_velocity(track, fix, elapsed)):
+        if away > allowed or not _turned(track, fix, track.velocity_ned_mps, elapsed):
+            continue
+        if not _follows(track, fix, at, others=twins or others):
             continue
         unlike = away + (_unlike(track, fix, now_s) if several else 0.0)
         if (others, unlike) < least:
@@ -76,14 +94,54 @@ def match(
     return best, nearest
 
 
-def _same_velocity(track: Track, fix: Fix, elapsed_s: float) -> bool:
+def _turned(track: Track, fix: Fix, velocity: Vec3, elapsed_s: float) -> bool:
     """Whether the aircraft can have changed its velocity to that of a fix. If its positions do not follow its
-    velocity, that is no reason to tell messages apart."""
+    velocity, that is no reason to tell messages apart.
+
+    Args:
+        velocity: the aircraft's, `elapsed_s` before.
+    """
     if fix.velocity is None or track.declared_s is None or Flag.VELOCITY_MISMATCH in track.doubts.flags:
         return True
-    if not track.past_clocked:
-        elapsed_s += CLOCKLESS_MOST_S
-    return math.dist(fix.velocity, track.velocity_ned_mps) <= _TURN_MPS + _TURN_MPS2 * elapsed_s
+    clocked = track.past_clocked if track.earlier is None else track.earlier.clocked
+    if clocked:
+        allowed = _TURN_MPS + _TURN_MPS2 * elapsed_s
+    else:
+        allowed = _PRETENDED_MPS + _PRETENDED_MPS2 * (elapsed_s + CLOCKLESS_MOST_S)
+    return math.dist(fix.velocity, velocity) <= allowed
+
+
+def _follows(track: Track, fix: Fix, at_s: float, *, others: bool) -> bool:
+    """Whether the aircraft can have come to a fix from its earlier state too.
+
+    A row of forged messages moves a track by many small steps in no time. Each of them is allowed, together
+    they are not. Heights are compared here alone.
+
+    Args:
+        others: the message may be another aircraft's, which after some silence may be anywhere.
+    """
+    earlier = track.earlier
+    if earlier is None:
+        return True
+    elapsed_s = max(0.0, at_s - earlier.at_s)
+    grown_s = min(elapsed_s, _GROWS_S) if others else elapsed_s
+    slack_s = clock_error_s(track, earlier.clocked)
+    p, v, now = earlier.position, earlier.velocity, fix.position
+    # Between its last place and the predicted one: heights are sent without a vertical speed too.
+    if fix.vertical_known and earlier.vertical_known:
+        ends = [p[2] + along * v[2] for along in (-slack_s, elapsed_s + slack_s)]
+        off_m = max(min(ends) - now[2], now[2] - max(ends))
+        if off_m > HIGH_M + earlier.height_m + height_error_m(fix.content) + grown_s * (4.0 + 5.0 * grown_s):
+            return False
+    if not track.velocity_known:
+        return True
+    north, east, v2 = now[0] - p[0], now[1] - p[1], v[0] * v[0] + v[1] * v[1]
+    along = (north * v[0] + east * v[1]) / v2 if v2 > 0.0 else 0.0
+    along = min(max(along, -slack_s), elapsed_s + slack_s)
+    away_m = math.hypot(north - along * v[0], east - along * v[1])
+    if away_m > flown(grown_s, fix.sigma_m + earlier.sigma_m):
+        return False
+    return _turned(track, fix, v, elapsed_s)
 
 
 def _unlike(track: Track, fix: Fix, now_s: float) -> float:
@@ -101,7 +159,7 @@ def _unlike(track: Track, fix: Fix, now_s: float) -> float:
 def same_aircraft(track: Track, others: Iterable[Track]) -> Track | None:
     """The track among `others` that is the same aircraft as `track`; the nearest if there are several.
 
-    This is stricter than `match`, because a merge gives up one of two positions.
+    This is stricter than `match`, because a merge gives up one of two positions and velocities.
     """
     best, least = None, _JOINED_WITHIN_M
     for other in others:
@@ -111,6 +169,14 @@ def same_aircraft(track: Track, others: Iterable[Track]) -> Track | None:
             p + elapsed * v for p, v in zip(earlier.position_ned_m, earlier.velocity_ned_mps, strict=True)
         ]
         away = math.dist(moved[:2], later.position_ned_m[:2])
+        if track.vertical_known and other.vertical_known:
+            errors_m = height_error_m(track.content) + height_error_m(other.content)
+            if abs(moved[2] - later.position_ned_m[2]) > HIGH_M + errors_m:
+                continue
+        if track.velocity_known and other.velocity_known:
+            turned = math.dist(track.velocity_ned_mps, other.velocity_ned_mps)
+            if turned > _TURN_MPS + _TURN_MPS2 * elapsed:
+                continue
         if away < least:
             best, least = other, away
     return best

@@ -9,14 +9,15 @@ Messages are encoded again for this, because only decoded ones are kept. A Locat
 without reserved bits gives the same bytes; of other senders nothing is proven.
 
 Replays: the text leaves the window to the sender (VNB to VNA, two minutes or more). Here evidence also counts
-only for `FRESH_S` after its VNB, and never if it is older than the last evidence from the same address.
+only for `FRESH_S` after its VNB, never if it is older than the last evidence from the same address, and only
+from the address from which it was heard first.
 """
 
 from __future__ import annotations
 
 import enum
 import math
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -51,6 +52,8 @@ _VOUCHED_S: Final = 60.0
 """For this long after its last valid signature a source has its share of the checks apart from strangers."""
 _CHECKS_PER_S: Final = 25.0
 """Signatures checked per second, for strangers and again for sources that have signed before."""
+_PROVEN_MOST: Final = 1024
+"""Valid signatures that are remembered: more than can be checked while they are fresh."""
 _SOURCE_CHECKS_PER_S: Final = 3.0
 """Most checks of one source per second, of which it may save up as many."""
 
@@ -85,6 +88,8 @@ class Signatures:
         self.trust = trust
         self.counts: Counter[Verdict] = Counter()
         self._buckets = (_Bucket(), _Bucket())
+        self._proven_by: OrderedDict[bytes, str] = OrderedDict()
+        """Radio address of each signature that was valid lately: from another one it is replayed."""
 
     def is_vouched(self, source: Source, now_s: float) -> bool:
         """Whether a source has signed lately."""
@@ -188,6 +193,9 @@ class Signatures:
         if not covered:
             return Verdict.NOTHING_HEARD, ()
         source.vouched_s = now_s
+        self._proven_by[evidence.signature] = source.key
+        if len(self._proven_by) > _PROVEN_MOST:
+            self._proven_by.popitem(last=False)
         return Verdict.VALID, covered
 
     def _refusal(self, source: Source, evidence: Evidence, utc_s: float) -> Verdict | None:
@@ -197,9 +205,10 @@ class Signatures:
         begin = evidence.not_before_utc_s
         if begin > utc_s + _AHEAD_S:
             return Verdict.EARLY
-        if utc_s - begin > FRESH_S or begin < source.signed_utc_s:
-            return Verdict.REPLAYED
-        return None
+        # What was signed by a clock that led, as ours did then, makes nothing old.
+        older = begin < source.signed_utc_s <= utc_s + _AHEAD_S
+        elsewhere = self._proven_by.get(evidence.signature, source.key) != source.key
+        return Verdict.REPLAYED if utc_s - begin > FRESH_S or older or elsewhere else None
 
     def _may_check(self, source: Source, now_s: float) -> bool:
         """Take one check from the budget of the source and of its kind, if both have any."""

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from companion.avoidance import kernels
 from companion.geometry import Vec3
 from companion.remote_id.messages import Location
 from companion.traffic.about import About
 from companion.traffic.eviction import Trust
-from companion.traffic.fix import Fix
+from companion.traffic.fix import Belief, Fix, belief_of, height_error_m, hold
 from companion.traffic.plausibility import UNTRUSTED, Doubts, Flag, MotionWindow, noise_m
 from companion.traffic.signal_strength import SignalWitness
 
@@ -26,6 +28,10 @@ _LEADING_S = 1.5
 _QUANTUM_S = 0.1
 """Resolution of a timestamp."""
 _DECLARED_S = 2.0
+_BELIEFS = 4
+"""Most states that a track is believed to be in. The least urgent one is given up."""
+HIGH_M = 10.0
+"""A height may be off the predicted one by this and by what both messages declare."""
 ESTABLISHED = 3
 """Number of messages from which a track is established. A full table removes established tracks last."""
 
@@ -80,6 +86,26 @@ _WANDERS, _MOST_SURPRISE = 12.0, 6.0
 """One message elsewhere makes two surprises, there and back; they do not suffice."""
 _FORGOTTEN = 0.01
 _LEAST_SIGMA_M = 2.0
+_DRAGGED = 2.0
+"""A track may have been dragged away from its aircraft by so many times what is taken for the same one."""
+
+
+class Earlier(NamedTuple):
+    """What a track held some time ago: the state that a row of quick messages must follow too; NED."""
+
+    at_s: float
+    position: Vec3
+    velocity: Vec3
+    sigma_m: float
+    vertical_known: bool
+    height_m: float
+    """Error of the height that the sender declared."""
+    clocked: bool
+
+
+_EARLIER_S = 0.9
+"""Least age of the earlier state when it is replaced. One message a second, with some jitter, replaces it
+each time."""
 
 
 @dataclass(slots=True, eq=False)
@@ -106,6 +132,8 @@ class Track:
     """Keys (transport/address) of the last few radio addresses that it was received from."""
     motion: MotionWindow
     opened_s: float
+    earlier: Earlier | None = None
+    """The state of about a second ago; None before the first message was taken."""
     fed_by: dict[str, str] = field(default_factory=dict)
     """Key of the radio address that it was last received from, by transport."""
     beside_s: float = -math.inf
@@ -133,6 +161,12 @@ class Track:
     signal: SignalWitness = field(default_factory=SignalWitness)
     signal_reach_m: float = 0.0
     """How far from its position the signal strength says that it may be (`SignalWitness.reach_m`)."""
+    beliefs: tuple[Belief, ...] = ()
+    """States in which it was reported lately and that contradict each other."""
+    present: Belief | None = None
+    """The message that its state is from."""
+    aside: tuple[Belief, ...] = ()
+    """Those that contradict the present one."""
     declared_s: float | None = None
     """Time of the last message that declared a velocity (our monotonic time)."""
     doubts: Doubts = field(default_factory=Doubts)
@@ -178,9 +212,36 @@ class Track:
             self.past_vertical = self.vertical_known
         at_s = self.sample_s if fix.stamp_s is None else fix.stamp_s
         sigma = self.sigma_m if clocked else math.hypot(self.sigma_m, _CLOCKLESS_S * math.hypot(*v))
+        if self.earlier is None or abs(self.sample_s - self.earlier.at_s) >= _EARLIER_S:
+            height_m = height_error_m(fix.content)
+            self.earlier = Earlier(self.sample_s, p, v, self.sigma_m, self.vertical_known, height_m, clocked)
         noted = kernels.note_track(tuple(past), at_s, (p[0], p[1], down), (v[0], v[1], sinking), sigma)
         self.past = kernels.Past._make(noted)
         self.silent_after_s = kernels.silent_after(self.past.gap_s)
+
+    def believe(
+        self, fix: Fix, now_s: float, loss_s: Callable[[Belief], float], *, taken: bool = True
+    ) -> None:
+        """Keep the state that a message tells beside those that contradict it, as long as the track would not
+        be silent. So one message makes nobody forget what another one said: it may be forged.
+
+        Args:
+            loss_s: time until separation from a state would be lost.
+            taken: the track took the message for its present state; it may be older than that.
+        """
+        told = belief_of(fix, self.velocity_ned_mps, now_s)
+        beliefs = [b for b in self.beliefs if now_s - b.agreed_s <= self.silent_after_s]
+        contradicted = self.present is not None and not self.present.agrees(told)
+        if self.present is not None and contradicted and taken:
+            hold(beliefs, self.present, now_s, 0.0)
+        hold(beliefs, told, now_s, 0.0 if contradicted and not taken else _EARLIER_S)
+        while len(beliefs) > _BELIEFS:
+            beliefs.remove(max(beliefs, key=loss_s))
+        if taken or self.present is None:
+            self.present = told
+        present = self.present
+        self.beliefs = tuple(beliefs)
+        self.aside = tuple(b for b in beliefs if not b.agrees(present)) if len(beliefs) > 1 else ()
 
     def note_lead(self, lead_s: float, now_s: float) -> bool:
         """Learn from a timestamp; False if it is from another clock and does not date the message.
@@ -226,6 +287,22 @@ class Track:
         miss_m = off(self, fix, sample_s) - clock_s * math.hypot(*self.velocity_ned_mps)
         self.wander.note(miss_m, abs(sample_s - self.sample_s), math.hypot(self.sigma_m, fix.sigma_m), now_s)
 
+    def inherit(self, others: Iterable[Track], fix: Fix, now_s: float) -> None:
+        """Take over the errors of the nearest track that its address feeds, if that was dragged away.
+
+        Otherwise whoever drags the tracks of an aircraft away, each time it sends, would make each of the new
+        ones look sound.
+
+        Args:
+            fix: its own first message.
+        """
+        at_s = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
+        other = min(others, key=lambda track: off(track, fix, at_s))
+        if off(other, fix, at_s) <= _DRAGGED * near(fix.sigma_m + other.sigma_m):
+            other.note_miss(fix, at_s, now_s)
+            self.wander = replace(other.wander)
+            self.past = self.past._replace(growth_mps=other.past.growth_mps)
+
     @property
     def flags(self) -> frozenset[Flag]:
         """Flags that are raised now."""
@@ -266,15 +343,18 @@ def beyond(track: Track, fix: Fix, at_s: float) -> float:
     """
     p, v, along = track.position_ned_m, track.velocity_ned_mps, at_s - track.sample_s
     north, east = fix.position[0] - p[0], fix.position[1] - p[1]
-    clock_s = _CLOCK_S
-    if fix.stamp_s is None or not track.past_clocked:
-        clock_s = CLOCKLESS_MOST_S
-    elif lead(track.leads_s) > _CLOCK_S:
-        clock_s = _LEADING_S
+    clock_s = clock_error_s(track, fix.stamp_s is not None and track.past_clocked)
     v2 = v[0] * v[0] + v[1] * v[1]
     t = (north * v[0] + east * v[1]) / v2 if v2 > 0.0 else 0.0
     t = min(max(t, min(0.0, along) - clock_s), max(0.0, along) + clock_s)
     return math.hypot(north - t * v[0], east - t * v[1])
+
+
+def clock_error_s(track: Track, clocked: bool) -> float:
+    """By how much the times of a track's messages may be wrong, if its sender's clock dates them or not."""
+    if not clocked:
+        return CLOCKLESS_MOST_S
+    return _LEADING_S if lead(track.leads_s) > _CLOCK_S else _CLOCK_S
 
 
 def flown(elapsed_s: float, noise: float) -> float:
@@ -300,7 +380,12 @@ def beside(track: Track, fix: Fix, now_s: float) -> bool:
     """Whether track and fix, if they are from one address, are two senders: an aircraft is near where it is
     predicted."""
     at_s = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
-    return off(track, fix, at_s) > near(noise_m(track.content) + noise_m(fix.content))
+    if off(track, fix, at_s) > near(noise_m(track.content) + noise_m(fix.content)):
+        return True
+    if not (track.vertical_known and fix.vertical_known):
+        return False
+    down = track.position_ned_m[2] + (at_s - track.sample_s) * track.velocity_ned_mps[2]
+    return abs(fix.position[2] - down) > HIGH_M + height_error_m(track.content) + height_error_m(fix.content)
 
 
 def lead(leads_s: deque[float]) -> float:

@@ -14,11 +14,15 @@ its content is new.
 
 from __future__ import annotations
 
+import heapq
 import math
 from collections import deque
 from dataclasses import dataclass
+from operator import itemgetter
 
-from companion.avoidance.law import SIGMAS, Neighbour
+import msgspec
+
+from companion.avoidance.law import ASIDE, SIGMAS, Neighbour
 from companion.config import AvoidanceConfig, TrafficConfig
 from companion.events import RemoteIdHeard, Say, TrackFlagged
 from companion.geometry import LocalFrame, Vec3
@@ -28,7 +32,7 @@ from companion.remote_id.messages import Authentication, BasicId, IdType, Locati
 from companion.traffic.about import About
 from companion.traffic.doubts import Judge
 from companion.traffic.eviction import Judgement, allowance_of, sound_of
-from companion.traffic.fix import Fix, make_fix
+from companion.traffic.fix import Belief, Fix, make_fix
 from companion.traffic.matching import match, same_aircraft
 from companion.traffic.own_flight import OwnFlight
 from companion.traffic.plausibility import Flag, MotionWindow, Reports, status_doubts
@@ -45,6 +49,8 @@ is too inaccurate there."""
 _LEADS = 5
 _RANKED_EVERY = 8
 """A track is ranked for eviction every so many messages; its standing changes little in between."""
+_MOST_ASIDE = 50
+"""Most places besides those of the tracks that the law is given."""
 _CROWD = 5
 """Tracks that sound alike are a group from this many on."""
 
@@ -189,8 +195,8 @@ class Traffic:
             self._table.remove(track)
 
     def neighbours(self, now_s: float) -> list[Neighbour]:
-        """Every track, as input of the law."""
-        return [
+        """Every track, and where else it was lately reported to be, as input of the law."""
+        present = [
             Neighbour(
                 t.track_id,
                 t.position_ned_m,
@@ -207,11 +213,39 @@ class Traffic:
             )
             for t in self.tracks.values()
         ]
+        return present + self._aside(now_s, present)
+
+    def _aside(self, now_s: float, present: list[Neighbour]) -> list[Neighbour]:
+        """Where else tracks were lately reported to be; at most `_MOST_ASIDE`, those to be lost first."""
+        aside = [
+            (self._loss_s(belief), f"{other.track_id}{ASIDE}{number}", other, belief)
+            for other, track in zip(present, self.tracks.values(), strict=True)
+            for number, belief in enumerate(track.aside, 1)
+            if now_s - belief.agreed_s <= track.silent_after_s
+        ]
+        if len(aside) > _MOST_ASIDE:
+            aside = heapq.nsmallest(_MOST_ASIDE, aside, key=itemgetter(0, 1))
+        return [
+            msgspec.structs.replace(
+                other,
+                track_id=name,
+                position_ned_m=belief.position,
+                velocity_ned_mps=belief.velocity,
+                age_s=max(0.0, now_s - belief.at_s),
+                sigma_m=belief.sigma_m,
+                sigma_mps=belief.sigma_mps,
+                vertical_known=belief.vertical_known,
+            )
+            for _, name, other, belief in aside
+        ]
 
     def receptions(self, track: Track) -> list[tuple[str, Reception]]:
         """Transport and reception statistics of each radio address of a track."""
         held = (self._table.sources.held(key) for key in track.sources)
         return [(s.about.transport, s.reception) for s in held if s is not None]
+
+    def _loss_s(self, belief: Belief) -> float:
+        return self.judgement.loss_s(belief.position, belief.velocity)
 
     def _of(self, source: Source) -> list[Track]:
         """Tracks that this address feeds."""
@@ -312,6 +346,7 @@ class Traffic:
         track.note_miss(fix, sample_s, now_s)
         if sample_s <= track.sample_s:
             self.counts.old += 1
+            track.believe(fix, now_s, self._loss_s, taken=False)
             return None
         self._judge.message(track, known, fix, sample_s, now_s)
         velocity, velocity_known = fix.velocity, True
@@ -325,6 +360,7 @@ class Traffic:
         track.sigma_m, track.sigma_mps, track.content = fix.sigma_m, fix.sigma_mps, fix.content
         track.vertical_known = fix.vertical_known
         track.remember(fix)
+        track.believe(fix, now_s, self._loss_s)
         track.messages += 1
         track.hypothesis = track.hypothesis and track.messages < ESTABLISHED
         track.about.update(source.about)
@@ -344,6 +380,7 @@ class Traffic:
             self.counts.refused_full += 1
             return None
         track.remember(fix)  # After `make_room`: in a flood most newcomers find no room.
+        track.believe(fix, now_s, self._loss_s)
         self.counts.evicted += victim is not None
         self.counts.split += bool(others)
         self._judge.first_message(track, known, source, fix, now_s)

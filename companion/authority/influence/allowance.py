@@ -32,7 +32,7 @@ from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from companion.avoidance.law import VERTICAL_SCALE, LawResult, Neighbour
+from companion.avoidance.law import ASIDE, VERTICAL_SCALE, LawResult, Neighbour
 from companion.config import Config, ContainmentConfig
 from companion.events import AllowanceSpent, Command, Say, Severity, TrackView
 from companion.geometry import Vec3
@@ -167,7 +167,8 @@ class Allowances:
             known = self._tracks.get(key)
             if known is None:
                 known = self._tracks[key] = _Known(now_s, now_s, position, now_s)
-            known.see(now_s, position)
+            if other.track_id == key[1]:
+                known.see(now_s, position)
         self._forget(now_s)
         return [other for other in neighbours if self._counts(now_s, other)]
 
@@ -215,7 +216,7 @@ class Allowances:
         passed_s = min(now_s - self._charged_s, _STEP_S) if held else 0.0
         self._charged_s = now_s
         by_key = {_key(other): other for other in neighbours if not other.proven}
-        views = [((view.adsb, view.track_id), view) for view in result.tracks]
+        views = [(_key(view), view) for view in result.tracks]
         seen = [(by_key[key], view) for key, view in views if key in by_key]
         inside = {_key(o) for o, view in seen if not o.crewed and _is_inside(here, view)}
         self._enter(now_s, inside)
@@ -243,7 +244,7 @@ class Allowances:
 
     def _squeeze(self, now_s: float, here: Vec3, result: LawResult) -> None:
         """Note whether tracks that press are to be left out, because another track is near or in conflict."""
-        found = {(view.adsb, view.track_id): view for view in result.tracks}
+        found = {_key(view): view for view in result.tracks}
         pressing = [k for k in found if (t := self._tracks.get(k)) and t.presses and not t.stands(now_s)]
         others = [
             key
@@ -360,8 +361,9 @@ class Allowances:
         self._told.append(Say(severity=Severity.WARNING, text=f"DMUCA: {text}"))
 
 
-def _key(other: Neighbour) -> _Key:
-    return other.adsb, other.track_id
+def _key(other: Neighbour | TrackView) -> _Key:
+    """The track, also for another place where it may be."""
+    return other.adsb, other.track_id.partition(ASIDE)[0]
 
 
 def _is_inside(here: Vec3, view: TrackView) -> bool:

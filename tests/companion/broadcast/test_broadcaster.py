@@ -371,6 +371,21 @@ def test_in_flight_no_report_silences_us(bench):
     assert not bench.core.broadcaster.gives_way
 
 
+def test_forged_heartbeats_between_the_true_ones_do_not_make_it_look_grounded(bench):
+    """In flight: disarmed just before each forged report, armed again at the next true heartbeat."""
+    bench.step(20)
+    commands = []
+    for _ in range(20):
+        bench.armed = True
+        commands += bench.step(18)
+        bench.armed = False
+        commands += bench.step(1)
+        bench.extra.append(RemoteIdModule(component_id=236, ready=True, text=""))
+        commands += bench.step(1)
+    assert len(locations(commands)) >= 19
+    assert not bench.core.broadcaster.gives_way
+
+
 def test_when_the_module_falls_silent_in_flight_we_broadcast(bench):
     report(grounded(bench), 5)
     bench.armed = True

@@ -10,10 +10,13 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from companion.broadcast.schedule import Schedule
 from companion.broadcast.signer import PAGE_GAP_S, Signer
 from companion.events import Broadcast
+from companion.remote_id.authentication import Assembler
 from companion.remote_id.codec import PACK_MAX_MESSAGES, encode, encode_pack
 from companion.remote_id.drip.det import make_det
+from companion.remote_id.drip.evidence import LINK, MANIFEST, decode_evidence, read_manifest
+from companion.remote_id.drip.hashes import message_hash
 from companion.remote_id.drip.keys import public_bytes
-from companion.remote_id.drip.link import endorse
+from companion.remote_id.drip.link import decode_link, endorse
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, OperatorId, System, UaType
 from companion.remote_id.region import Region
 from companion.remote_id.transports import BLE4
@@ -138,6 +141,91 @@ def test_the_periods_of_the_standard(transport):
     assert links[0] <= 6.0
 
 
+def sets_on_ble4(seconds=30.0, rate=2, links=LINKS):
+    """Sets of pages in the order in which they were sent, with the times of the pages."""
+    found = []
+    for t, core, sent in flown(seconds, {"ble4": rate}, a_signer(links)):
+        for added in sent[len(core) :]:
+            (page,) = added.messages
+            if page.page == 0:
+                found.append([])
+            found[-1].append((t, page))
+    return found[:-1]
+
+
+@pytest.mark.parametrize("lost", range(11))
+def test_any_one_page_of_a_set_on_ble4_may_be_lost(lost):
+    """The parity page restores it; so each set has one more page than its data."""
+    for pages in sets_on_ble4():
+        head = pages[0][1]
+        assert [page.page for _, page in pages] == list(range(head.last_page + 1))
+        if 0 < lost <= head.last_page:
+            assembler = Assembler()
+            whole = [assembler.add_page("a", page, t) for t, page in pages if page.page != lost]
+            assert sum(data is not None for data in whole) == 1
+
+
+def test_pages_on_ble4_follow_each_other_as_soon_as_they_may():
+    times = [t for pages in sets_on_ble4() for t, _ in pages]
+    assert min(b - a for a, b in itertools.pairwise(times)) == pytest.approx(0.15)
+
+
+def manifests(sets):
+    """Number of messages that each Manifest covers, and the hashes."""
+    for pages in sets:
+        data = b"".join(page.data for _, page in pages)[: pages[0][1].length]
+        if data[0] == MANIFEST:
+            yield read_manifest(decode_evidence(data).content).messages
+
+
+def test_a_manifest_on_ble4_covers_ten_messages_with_a_location_among_them():
+    """Basic ID, System and others take half of it at most; the rest are Locations."""
+    sent = [
+        message
+        for _, core, _ in flown(30.0, {"ble4": 10}, None)
+        for broadcast in core
+        for message in broadcast.messages
+    ]
+    places = {message_hash(encode(m)) for m in sent if type(m) is Location}
+    others = {message_hash(encode(m)) for m in sent} - places
+    for hashes in list(manifests(sets_on_ble4(rate=10)))[1:]:
+        assert len(hashes) == 10
+        assert len(places & set(hashes)) >= 5
+        assert 1 <= len(others & set(hashes)) <= 5
+
+
+def test_links_take_turns_and_ours_is_every_other_one():
+    found = []
+    for pages in sets_on_ble4(seconds=95.0):
+        data = b"".join(page.data for _, page in pages)[: pages[0][1].length]
+        if data[0] == LINK:
+            found.append(decode_link(data).child)
+    assert found[:4] == [DET, REGISTRY_DET, DET, REGISTRY_DET]
+
+
+def test_one_link_alone_is_sent_again_and_again():
+    found = [
+        decode_link(data).child
+        for pages in sets_on_ble4(seconds=45.0, links=LINKS[:1])
+        if (data := b"".join(page.data for _, page in pages)[: pages[0][1].length])[0] == LINK
+    ]
+    assert len(found) >= 3
+    assert set(found) == {DET}
+
+
+def test_after_a_pause_only_what_was_sent_since_is_covered():
+    signer = a_signer((), period_s=3.0)
+    core = [Broadcast(transport="wifi", messages=messages_at(0.0))]
+    assert len(signer.add(core, 0.0, UTC_S)) == 2
+    signer.add([Broadcast(transport="wifi", messages=messages_at(0.5))], 0.5, UTC_S + 0.5)
+    for step in range(10, 100):
+        assert not signer.add([], 0.1 * step, UTC_S + 0.1 * step)
+    _, added = signer.add([Broadcast(transport="wifi", messages=messages_at(10.0))], 10.0, UTC_S + 10.0)
+    data = b"".join(m.data for m in added.messages if type(m) is Authentication)[: added.messages[2].length]
+    hashes = read_manifest(decode_evidence(data).content).messages
+    assert hashes == (message_hash(encode_pack(messages_at(10.0))),)
+
+
 def test_without_utc_or_broadcasts_nothing_is_added():
     signer = a_signer()
     for t, core, _ in flown(5.0, {"wifi": 1}, None):
@@ -146,6 +234,23 @@ def test_without_utc_or_broadcasts_nothing_is_added():
     broadcast = Broadcast(transport="wifi", messages=messages_at(5.0))
     assert len(signer.add([broadcast], 5.0, UTC_S + 5.0)) == 2
     assert all(not signer.add([], 7.1 + 0.1 * k, UTC_S + 7.0) for k in range(200)), "the transport was left"
+
+
+@pytest.mark.parametrize(
+    "utc_s", [0.0, -5.0, 1_420_070_400.0, 1_546_300_779.0, 1_546_300_800 + 2**32 - 60.0, 1e12, float("nan")]
+)
+def test_a_clock_that_is_years_off_ends_the_signatures_and_nothing_else(utc_s):
+    """A GNSS receiver without a fix, or one forged SYSTEM_TIME; then the right time."""
+    signer = a_signer()
+    for start_s, clock_s, signed in ((0.0, utc_s, False), (20.0, UTC_S, True)):
+        added = 0
+        for step in range(400):
+            t = start_s + step * STEP_S
+            core = [Broadcast(transport="wifi", messages=messages_at(t))] if step % 20 == 0 else []
+            sent = signer.add(core, t, clock_s + t)
+            assert sent[: len(core)] == core
+            added += len(sent) - len(core)
+        assert (added > 5) is signed
 
 
 def test_what_is_remembered_is_bounded():

@@ -269,10 +269,14 @@ def test_altitude_changes_with_the_longer_of_what_passed_for_sender_and_receiver
 
 
 def test_altitudes_that_leap():
-    listener = Listener()
+    """With a declared accuracy they are two aircraft; otherwise the height is not known, and they are one."""
+    listener, vague = Listener(), Listener()
     for k, t in enumerate(seconds(10)):
-        fly(listener, straight(), [t], alt_geodetic_m=447.0 + 600.0 * (k % 2))
-    assert listener.flags() == {Flag.IMPOSSIBLE_VALUES}
+        alt_m = 447.0 + 600.0 * (k % 2)
+        fly(listener, straight(), [t], alt_geodetic_m=alt_m)
+        fly(vague, straight(), [t], alt_geodetic_m=alt_m, vertical_accuracy_m=45.0)
+    assert [t.flags for t in listener.traffic.tracks.values()] == [{Flag.DUPLICATE_IDENTITY}] * 2
+    assert vague.flags() == {Flag.IMPOSSIBLE_VALUES}
 
 
 def test_an_altitude_that_cannot_be():

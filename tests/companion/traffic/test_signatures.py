@@ -208,7 +208,7 @@ def test_a_signed_liar_is_judged_like_any_other():
         listener.hear(t + 0.2, *messages)
         listener.hear(t + 0.7, *manifest([encode_pack(messages)], t))
     assert listener.flags() >= {Flag.SIGNED, Flag.VELOCITY_MISMATCH}
-    assert [n.track_id for n in listener.traffic.neighbours(40.0)] == ["X"]
+    assert "X" in [n.track_id for n in listener.traffic.neighbours(40.0)]
 
 
 def test_a_manifest_proves_only_the_track_of_its_location():
@@ -290,6 +290,27 @@ def test_a_replay_11_s_later(address):
         listener.hear(at_s + 11.0, *messages, address=address)
     assert counted(listener) == {Verdict.VALID: 10, Verdict.REPLAYED: 10}
     assert Flag.REPLAYED_SIGNATURE in listener.ever
+
+
+def test_a_replay_at_once_from_another_address():
+    """What proves its sender proves nobody who repeats it, however soon."""
+    listener = Listener(keys=KEYS)
+    for t in seconds(10):
+        messages = as_sent(basic(), location(straight(), t))
+        for address, later_s in (("a", 0.2), ("b", 0.3)):
+            listener.hear(t + later_s, *messages, address=address)
+        for address, later_s in (("a", 0.7), ("b", 0.8)):
+            listener.hear(t + later_s, *manifest([encode_pack(messages)], t), address=address)
+    assert counted(listener) == {Verdict.VALID: 10, Verdict.REPLAYED: 10}
+
+
+def test_after_a_clock_that_led_evidence_counts_again():
+    """Both clocks are set ahead by an hour, as by a false GNSS signal, and back."""
+    listener = Listener(keys=KEYS)
+    for start_s, lead_s in ((10.0, 0.0), (20.0, 3600.0), (30.0, 0.0)):
+        listener.utc_offset_s = UTC_OFFSET_S + lead_s
+        signed_flight(listener, seconds(5, start_s), age_s=-lead_s)
+    assert counted(listener) == {Verdict.VALID: 15}
 
 
 def test_older_evidence_after_newer_is_replayed():

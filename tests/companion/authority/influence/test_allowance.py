@@ -29,6 +29,8 @@ class Sky:
         self.now_s = 0.0
         self.told = []
         self.hold = None
+        self.quiet = set()
+        """Tracks that are in no conflict."""
 
     def run(self, seconds, *others, radius_m=10.0, held=True, back=False):
         """Names of the tracks that were avoided at the end."""
@@ -48,8 +50,8 @@ class Sky:
             views = tuple(
                 TrackView(
                     track_id=o.track_id, position_ned_m=o.position_ned_m, velocity_ned_mps=o.velocity_ned_mps,
-                    age_s=0.0, radius_m=radius_m, conflict=True, time_to_closest_s=5.0, closest_m=0.0,
-                    active=True, adsb=o.adsb,
+                    age_s=0.0, radius_m=radius_m, conflict=o.track_id not in self.quiet,
+                    time_to_closest_s=5.0, closest_m=0.0, active=o.track_id not in self.quiet, adsb=o.adsb,
                 )
                 for o in admitted
             )  # fmt: skip
@@ -200,3 +202,68 @@ def test_what_is_remembered_is_bounded():
     assert len(sky.all._tracks) == 1000
     sky.all.admitted(100.0, [])
     assert not sky.all._tracks
+
+
+def test_another_place_of_a_track_has_no_allowance_of_its_own():
+    """The aircraft may be there too: both are charged as one, and both are left out together."""
+    sky = Sky()
+    assert sky.run(39.0, other("A"), other("A~1", at=(0.0, 60.0, 0.0))) == ["A", "A~1"]
+    assert not sky.run(2.0, other("A", at=(60.0, 0.0, 0.0)), other("A~1", at=(0.0, 60.0, 0.0)))
+    assert sky.scopes() == [("track", True)]
+
+
+def test_another_place_of_a_reserved_track_is_avoided_to_the_end():
+    sky = Sky(msgspec.structs.replace(SHORT, track_s=80.0))
+    sky.run(70.0, other("B"))
+    sky.run(2.0, other("A"))
+    sky.run(6.0, other("B"))
+    assert sky.run(5.0, other("A"), other("A~1", at=(0.0, 60.0, 0.0))) == ["A", "A~1"]
+    assert sky.run(1.0, other("C")) == []
+
+
+def test_the_time_after_a_conflict_is_charged_for_a_minute():
+    """Far away, on the way back: 30 s of conflict and 60 s after it, of 100 s; a second minute is free."""
+    sky = Sky(msgspec.structs.replace(SHORT, refill_s=86_400.0))
+    sky.run(30.0, other("A"))
+    sky.run(200.0)
+    assert sky.all._total.used_s == pytest.approx(30.0 + 60.0, abs=0.5)
+
+
+def test_a_track_that_appears_inside_takes_over_the_most_of_what_others_have_used():
+    sky = Sky()
+    sky.run(6.0, other("B", at=(5.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)))
+    sky.run(12.0, other("A", at=(5.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)))
+    sky.run(0.4, other("C", at=(5.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)))
+    first = sky.all._tracks[False, "A"]
+    heir = sky.all._tracks[False, "C"]
+    assert first.used.used_s == pytest.approx(18.0, abs=1.0)
+    assert heir.used.used_s == pytest.approx(18.8, abs=1.0)
+    assert heir.inside.used_s == pytest.approx(18.8, abs=1.0)
+    assert heir.pressed_s == pytest.approx(18.8, abs=1.0)
+
+
+def test_a_track_that_presses_yields_only_to_those_that_are_near():
+    """Beyond 300 m and without a conflict nobody is squeezed."""
+    for away_m, left in ((290.0, ["B"]), (310.0, ["A", "B"])):
+        sky = Sky(msgspec.structs.replace(SHORT, track_s=300.0, inside_s=200.0, total_s=900.0))
+        sky.run(31.0, other("A", at=(5.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)))
+        sky.quiet = {"B"}
+        sky.run(
+            1.0,
+            other("A", at=(5.0, 0.0, 0.0), velocity=(16.0, 0.0, 0.0)),
+            other("B", at=(0.0, away_m, 0.0), velocity=(0.0, 0.0, 0.0)),
+        )
+        found = sky.run(
+            0.4,
+            other("A", at=(5.0, 0.0, 0.0), velocity=(16.0, 0.0, 0.0)),
+            other("B", at=(0.0, away_m, 0.0), velocity=(0.0, 0.0, 0.0)),
+        )
+        assert found == left
+
+
+def test_it_is_recorded_when_a_total_is_whole_again():
+    sky = Sky(msgspec.structs.replace(SHORT, track_s=300.0))
+    sky.run(101.0, other("A"))
+    sky.run(700.0)
+    assert ("total", True) in sky.scopes()
+    assert ("total", False) in sky.scopes()

@@ -25,7 +25,7 @@ from companion.remote_id.drip.evidence import (
 )
 from companion.remote_id.drip.keys import public_bytes
 from companion.remote_id.drip.link import decode_endorsement, decode_link, endorse
-from companion.remote_id.drip.times import EPOCH_S
+from companion.remote_id.drip.times import EPOCH_S, pack_window, unpack_window
 from companion.remote_id.drip.trust import Trust
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 
@@ -126,6 +126,34 @@ def test_what_is_no_evidence():
         sign(KEY, DET, FRAME, bytes(113), NOW_S, NOW_S)
     with pytest.raises(ValueError, match="2019"):
         sign(KEY, DET, FRAME, b"", EPOCH_S - 1, NOW_S)
+
+
+def test_the_lengths_of_evidence_are_those_of_the_standard():
+    """201 bytes are nine pages; one more is refused."""
+    longest = sign(KEY, DET, FRAME, bytes(112), NOW_S, NOW_S + 1).encode()
+    assert len(longest) == 201
+    assert decode_evidence(longest).content == bytes(112)
+    with pytest.raises(PeerDataError, match="202 bytes"):
+        decode_evidence(longest + b"\0")
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_a_wrapper_holds_one_to_four_messages(count):
+    messages = [encode(Location(lat_deg=47.0 + k, lon_deg=8.0)) for k in range(count)]
+    assert read_wrapper(wrapper_content(messages)) == tuple(messages)
+    for wrong in ([], messages * 5):
+        with pytest.raises(ValueError, match="messages in a Wrapper"):
+            wrapper_content(wrong)
+
+
+def test_times_end_with_four_bytes():
+    last_s = EPOCH_S + 2**32 - 1
+    assert unpack_window(pack_window(EPOCH_S, last_s)) == (EPOCH_S, last_s)
+    for wrong_s in (EPOCH_S - 1, last_s + 1):
+        with pytest.raises(ValueError, match="2019"):
+            pack_window(wrong_s, last_s)
+        with pytest.raises(ValueError, match="2019"):
+            pack_window(EPOCH_S, wrong_s)
 
 
 def test_endorsements():
