@@ -78,8 +78,9 @@ class Decider:
         admitted = self.allowances.admitted(now_s, self._neighbours)
         situation = self._situation(now_s, admitted)
         result = law.decide(situation)
-        here, back = situation.position_ned_m, state is State.GUARDING
-        self.allowances.charge(now_s, here, result, admitted, held=held, back=back)
+        here, velocity = situation.position_ned_m, situation.velocity_ned_mps
+        back = state is State.GUARDING
+        self.allowances.charge(now_s, here, velocity, result, admitted, held=held, back=back)
         crewed = {(other.adsb, other.track_id) for other in admitted if other.crewed}
         conflicts = any(view.conflict and (view.adsb, view.track_id) in crewed for view in result.tracks)
         self._containment.note_conflict(now_s, crewed=conflicts)

@@ -29,9 +29,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from companion.authority.influence.following import Following
 from companion.avoidance.law import VERTICAL_SCALE, LawResult, Neighbour
 from companion.config import Config, ContainmentConfig
 from companion.events import AllowanceSpent, Command, Say, Severity, TrackView
@@ -96,6 +97,8 @@ class _Known:
     used: _Used = field(default_factory=_Used)
     inside: _Used = field(default_factory=_Used)
     pressed_s: float = 0.0
+    away_m: float = math.inf
+    following: Following = field(default_factory=Following)
     entered: bool = False
     """It has been inside its volume."""
     reserved: bool = False
@@ -196,6 +199,7 @@ class Allowances:
         self,
         now_s: float,
         here: Vec3,
+        velocity: Vec3,
         result: LawResult,
         neighbours: Iterable[Neighbour],
         *,
@@ -205,7 +209,7 @@ class Allowances:
         """Charge the time since the last decision.
 
         Args:
-            here: own position (NED, m).
+            here, velocity: own position and velocity (NED, m and m/s).
             result: decision that was just made.
             neighbours: those that the law was given.
             held: whether the companion flies the vehicle.
@@ -219,6 +223,18 @@ class Allowances:
         seen = [(by_key[key], view) for key, view in views if key in by_key]
         inside = {_key(o) for o, view in seen if not o.crewed and _is_inside(here, view)}
         self._enter(now_s, inside)
+        for other, view in seen:
+            if held and not other.crewed and (view.conflict or view.active):
+                known = self._tracks[_key(other)]
+                place = view.position_ned_m
+                if known.following.since_s == -math.inf:
+                    for earlier in self._tracks.values():
+                        if earlier is not known and earlier.following.continues(now_s, here, place):
+                            known.following = replace(earlier.following)
+                            break
+                if known.following.look(now_s, here, velocity, place, other.velocity_ned_mps):
+                    known.pressed_s = max(known.pressed_s, PRESSES_S)
+                    known.away_m = math.dist(place, here)
         acting = [other for other, view in seen if held and (view.conflict or view.active)]
         for other in acting:
             self._conflict_s[other.crewed] = now_s
