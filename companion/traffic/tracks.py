@@ -27,10 +27,10 @@ from companion.remote_id.authentication import SPECIFIC_METHOD, Assembler, Authe
 from companion.remote_id.drip.trust import Trust
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, UaType
 from companion.traffic.about import About
-from companion.traffic.flood.choice import chosen
 from companion.traffic.doubts import Judge
 from companion.traffic.eviction import Judgement
 from companion.traffic.fix import Fix, make_fix
+from companion.traffic.flood.choice import chosen
 from companion.traffic.matching import match, same_aircraft
 from companion.traffic.own_flight import OwnFlight
 from companion.traffic.plausibility import Flag, MotionWindow, Reports, status_doubts
@@ -121,8 +121,10 @@ class Traffic:
         frame: LocalFrame,
         separation_m: float | None,
     ) -> None:
-        """Process the frames of one step, or of a flood those that matter (`flood.choice`). Arguments are those of
-        `hear`."""
+        """Process the frames of one step, or of a flood those that matter (`flood.choice`).
+
+        Arguments are those of `hear`.
+        """
         used = chosen(
             frames,
             now_s,
