@@ -23,6 +23,8 @@ PUSHED_M = 10.0
 """How far we must have been pushed, and how far it must be from where it would be."""
 _HEIR_S = 15.0
 """A silent track is predicted for so long; meanwhile another name may go on where it was."""
+_LASTS_S = 1.0
+"""Time for which a track must have followed; one message is no evidence."""
 _MOST = 32
 """Most conflicts that are examined at a time."""
 _FRESH_S = 2.0
@@ -50,8 +52,10 @@ class _Conflict:
     """Place of the track relative to us when it was last heard."""
     at_s: float
     """Time of the last conflict, or for one that follows, of its last message."""
+    since_s: float
+    """Time since which it has followed."""
     follows_at_m: float = 0.0
-    """Distance at which it has followed; 0: it has not, or has come nearer since."""
+    """Distance at which it was found to follow; 0: it was not."""
 
     def look(self, now_s: float, own: Vec3, place: Vec3, mps: Vec3) -> None:
         """Take in the present state during the conflict."""
@@ -59,20 +63,16 @@ class _Conflict:
         passed_s = now_s - self.began_s
         pushed = _minus(own, _after(self.own, passed_s, self.own_mps))
         pushed_m = math.hypot(*pushed)
-        if pushed_m < PUSHED_M or math.dist(self.beside, self.began_beside) > 0.5 * pushed_m:
-            return
         bent = _minus(place, _after(self.place, passed_s, self.mps))
         with_us = sum(a * b for a, b in zip(bent, pushed, strict=True)) > 0.5 * pushed_m * pushed_m
-        if with_us or math.dist(place, self.reported) > PUSHED_M:
+        if (
+            pushed_m < PUSHED_M
+            or math.dist(self.beside, self.began_beside) > 0.5 * pushed_m
+            or not (with_us or math.dist(place, self.reported) > max(PUSHED_M, 0.5 * pushed_m))
+        ):
+            self.since_s = now_s
+        elif not self.follows_at_m and now_s - self.since_s >= _LASTS_S:
             self.follows_at_m = math.hypot(*self.beside)
-
-    def hear(self, now_s: float, beside: Vec3) -> None:
-        """Take in a fresh message."""
-        self.beside = beside
-        if math.hypot(*beside) < _NEARER * self.follows_at_m:
-            self.follows_at_m = 0.0
-        if self.follows_at_m:
-            self.at_s = now_s
 
 
 class Followers:
@@ -91,7 +91,12 @@ class Followers:
         if found is None:
             return False
         if other.age_s <= _FRESH_S:
-            found.hear(now_s, _beside(own, own_mps, other))
+            found.beside = _beside(own, own_mps, other)
+            if math.hypot(*found.beside) < _NEARER * found.follows_at_m:
+                del self._conflicts[key]
+                return False
+            if found.follows_at_m:
+                found.at_s = now_s
         return found.follows_at_m > 0.0
 
     def conflict(self, now_s: float, key: Hashable, own: Vec3, own_mps: Vec3, other: Neighbour) -> None:
@@ -103,7 +108,7 @@ class Followers:
             if len(self._conflicts) >= _MOST:
                 return
             beside = _beside(own, own_mps, other)
-            fresh = _Conflict(now_s, own, own_mps, place, mps, beside, place, beside, now_s)
+            fresh = _Conflict(now_s, own, own_mps, place, mps, beside, place, beside, now_s, now_s)
             found = self._conflicts[key] = self._earlier(now_s, beside) or fresh
         found.look(now_s, own, place, mps)
 
