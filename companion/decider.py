@@ -75,11 +75,12 @@ class Decider:
         held = state in HOLDING
         self._heights_m = self._containment.keep(now_s) if held else None
         self._neighbours = self._heard(now_s)
-        admitted = self.allowances.admitted(now_s, self._neighbours)
+        here, velocity = self._own.position_ned_m(now_s), self._own.velocity_ned_mps
+        admitted = self.allowances.admitted(now_s, here, velocity, self._neighbours)
         situation = self._situation(now_s, admitted)
         result = law.decide(situation)
-        here, back = situation.position_ned_m, state is State.GUARDING
-        self.allowances.charge(now_s, here, result, admitted, held=held, back=back)
+        back = state is State.GUARDING
+        self.allowances.charge(now_s, here, velocity, result, admitted, held=held, back=back)
         crewed = {(other.adsb, other.track_id) for other in admitted if other.crewed}
         conflicts = any(view.conflict and (view.adsb, view.track_id) in crewed for view in result.tracks)
         self._containment.note_conflict(now_s, crewed=conflicts)

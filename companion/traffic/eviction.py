@@ -22,6 +22,9 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+
+from companion.arrays import Floats, Integers
 from companion.avoidance.alerts import Approach, approach
 from companion.avoidance.law import LEAST_MARGIN_M, SIGMAS, horizon_s, separation_m
 from companion.config import AvoidanceConfig
@@ -128,6 +131,43 @@ class Judgement:
         tier = THREAT if threat else THREAT - 1
         return Standing(tier, allowance, _sector(away), part, (-trust, loss, int(distance_m))), threat
 
+    def urgency(self, rows: Floats) -> tuple[Floats, Floats, Integers, Integers]:
+        """How urgent many aircraft are, roughly: with some metres more than `standing` allows for.
+
+        Args:
+            rows: position, velocity and declared error (NED, m and m/s) of each. A height that is NaN is
+                unknown.
+
+        Returns:
+            The time until the separation is lost (infinite: no threat), the distance (m), and the direction
+            and the class of time and range as in a `Standing`; 0 for what is no threat.
+        """
+        away, closing = rows[:, :3] - self.position, np.asarray(self.velocity) - rows[:, 3:6]
+        level = np.isnan(away[:, 2])
+        away[level, 2] = closing[level, 2] = 0.0
+        azimuth = np.floor(_AZIMUTHS * (0.5 + np.arctan2(away[:, 1], away[:, 0]) / math.tau))
+        flat = np.abs(away[:, 2]) <= 0.6 * np.hypot(away[:, 0], away[:, 1])
+        height = np.where(flat, 0, np.where(away[:, 2] > 0.0, 1, 2))
+        distance = np.sqrt((away * away).sum(axis=1))
+        radius, scale = self._separations[False]
+        margin = np.maximum(LEAST_MARGIN_M, SIGMAS * np.hypot(rows[:, 6], _OWN_SIGMA_M))
+        margin += _NEARLY_M + _AGE_S * np.sqrt((closing * closing).sum(axis=1))
+        away[:, 2] *= scale
+        closing[:, 2] *= scale
+        towards = (away * closing).sum(axis=1)
+        gap2 = (away * away).sum(axis=1) - (radius + margin) ** 2
+        root = towards * towards - (closing * closing).sum(axis=1) * gap2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            loss = gap2 / (towards + np.sqrt(root))
+        loss[~((towards > 0.0) & (root >= 0.0))] = np.inf
+        loss[gap2 <= 0.0] = 0.0
+        loss[~(loss <= self._ahead_s[False])] = np.inf
+        late = np.searchsorted(_LOSS_S, loss)
+        part = len(_RANGE_M) * late + np.minimum(np.searchsorted(_RANGE_M, distance), len(_RANGE_M) - 1)
+        threat = np.isfinite(loss)
+        sector = 3 * (azimuth.astype(np.int64) % _AZIMUTHS) + height
+        return loss, distance, np.where(threat, sector, 0), np.where(threat, part, 0)
+
 
 HOLD_S = 6.0
 """How long a track stays a threat after it was last judged one."""
@@ -138,6 +178,8 @@ _HORIZONS = 1.5
 _NEARLY_M = 4.0
 """Added to the volume, so that an aircraft that is being passed at its border counts as a threat."""
 _OWN_SIGMA_M = 2.0
+_AGE_S = 1.0
+"""Age of a message that `urgency` allows for."""
 _LOSS_S = (1.0, 4.0, 8.0, 15.0)
 _RANGE_M = (30.0, 60.0, 120.0, 240.0, math.inf)
 _AZIMUTHS = 12

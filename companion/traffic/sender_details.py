@@ -85,6 +85,10 @@ class Sources:
         source = self._idle[key] = Source(key, About(transport, address))
         return source
 
+    def of(self, transport: str, address: str) -> Source | None:
+        """The source of frames; None if it is not held."""
+        return self.held(f"{transport}/{address}")
+
     def held(self, key: str) -> Source | None:
         """The source of a key; None if it is not held."""
         return self._feeding.get(key) or self._idle.get(key)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import islice
 
 from companion.avoidance.kernels.neighbours import GROWTH_AHEAD_S
@@ -15,10 +16,15 @@ from companion.traffic.eviction import (
     Judgement,
     Motion,
     Ranking,
+    Standing,
+    Trust,
     Value,
+    allowance_of,
     margin_m,
+    sound_of,
 )
-from companion.traffic.sender_details import Sources
+from companion.traffic.fix import Fix
+from companion.traffic.sender_details import Source, Sources
 from companion.traffic.track import ESTABLISHED, Track
 
 ADDRESSES_PER_TRACK = 4
@@ -27,6 +33,19 @@ TRACKS_PER_IDENTITY = 16
 _RANKED_S, _RANKED_AT_ONCE = 0.2, 512
 """While the table is half full, all tracks are ranked this often, up to so many at a time. Otherwise a track
 is ranked with some of its messages."""
+
+
+@dataclass(frozen=True, slots=True)
+class Newcomer:
+    """What is known of an aircraft before a track of it is built: most newcomers of a flood find no room."""
+
+    track_id: str
+    sample_s: float
+    sound: str
+    together: bool
+    allowance: int
+    standing: Standing
+    threat: bool
 
 
 class Table:
@@ -59,14 +78,23 @@ class Table:
             self._ranked_s = now_s
             self._rank_all(now_s)
 
-    def add(self, track: Track, now_s: float) -> None:
-        """Add a track. `make_room` then keeps the bound."""
+    def add(self, track: Track, now_s: float, judged: Newcomer | None = None) -> None:
+        """Add a track for which there is room.
+
+        Args:
+            judged: its standing, if it is known.
+        """
         self.tracks[track.track_id] = track
         self.by_identity.setdefault(track.identity, []).append(track)
         for key in track.sources:
             self.sources.feed(key)
         self.groups[track.group] = self.groups.get(track.group, 0) + 1
-        self.rank(track, now_s)
+        if judged is None:
+            self.rank(track, now_s)
+            return
+        if judged.threat:
+            track.threat_s = now_s
+        self.ranking.place(track.track_id, judged.standing)
 
     def remove(self, track: Track) -> None:
         """Remove a track that is held."""
@@ -122,26 +150,44 @@ class Table:
             if track is not None:
                 self.rank(track, now_s)
 
-    def make_room(self, newcomer: Track, others: Sequence[Track], now_s: float) -> Track | None:
-        """Remove a track if there are too many, all in all or of its identity; returns it. It may be the
-        newcomer.
+    def newcomer(self, track_id: str, source: Source, fix: Fix, now_s: float) -> Newcomer:
+        """Judge an aircraft that no track is of yet."""
+        sample_s = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
+        age_s, about = now_s - sample_s, source.about
+        margin = margin_m(fix.sigma_m, fix.sigma_mps, age_s, 0.0)
+        velocity = fix.velocity or (0.0, 0.0, 0.0)
+        motion = Motion(fix.position, velocity, age_s, margin, fix.vertical_known)
+        sound = sound_of(about.transport, about.address, about.rssi_dbm)
+        together, allowance = self.burst.note(now_s), allowance_of(sound)
+        standing, threat = self.judgement.standing(motion, Trust.FRESH, together, allowance, False)
+        return Newcomer(track_id, sample_s, sound, together, allowance, standing, threat)
+
+    def make_room(self, newcomer: Newcomer, others: Sequence[Track], now_s: float) -> tuple[bool, bool]:
+        """Remove a track if there would be too many, all in all or of the newcomer's identity.
 
         Args:
-            newcomer: the track that was just added.
-            others: the tracks of its identity before.
+            others: the tracks of its identity.
+
+        Returns:
+            Whether there is room for the newcomer, and whether a track was removed for it.
         """
-        victim = None
+        ranking = self.ranking
         if len(others) >= TRACKS_PER_IDENTITY:
             victim = max(others, key=self._dispensable)
-            standing = self.ranking.standing
-            if standing(newcomer.track_id).tier < standing(victim.track_id).tier:
-                victim = newcomer
-        elif len(self.tracks) > self.most:
-            victim = self.tracks[self.ranking.first()]
-            self.full.note(now_s, self.ranking.standing(victim.track_id).threat)
-        if victim is not None:
-            self.remove(victim)
-        return victim
+            if newcomer.standing.tier < ranking.standing(victim.track_id).tier:
+                return False, False
+        elif len(self.tracks) >= self.most:
+            ranking.place(newcomer.track_id, newcomer.standing)
+            first = ranking.first()
+            self.full.note(now_s, ranking.standing(first).threat)
+            if first == newcomer.track_id:
+                ranking.remove(first)
+                return False, False
+            victim = self.tracks[first]
+        else:
+            return True, False
+        self.remove(victim)
+        return True, True
 
     def _dispensable(self, track: Track) -> tuple[int, bool, float, Value]:
         """Sort key of the tracks of one identity; the track with the greatest key is removed.

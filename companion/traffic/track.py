@@ -172,6 +172,8 @@ class Track:
     doubts: Doubts = field(default_factory=Doubts)
     vouched_s: float = -math.inf
     """When a signature last proved its identity (our monotonic time)."""
+    taken_s: float = -math.inf
+    """When a frame from one of its addresses was last used in a crowded step (`flood.choice`)."""
     messages: int = 1
     past: kernels.Past = kernels.NO_PAST
     """Memory of `kernels.note_track`."""

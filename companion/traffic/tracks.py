@@ -17,6 +17,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 
@@ -31,8 +32,9 @@ from companion.remote_id.drip.trust import Trust
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, UaType
 from companion.traffic.about import About
 from companion.traffic.doubts import Judge
-from companion.traffic.eviction import Judgement, allowance_of, sound_of
+from companion.traffic.eviction import Judgement
 from companion.traffic.fix import Belief, Fix, make_fix
+from companion.traffic.flood.choice import chosen
 from companion.traffic.matching import match, same_aircraft
 from companion.traffic.own_flight import OwnFlight
 from companion.traffic.plausibility import Flag, MotionWindow, Reports, status_doubts
@@ -40,7 +42,7 @@ from companion.traffic.reception import Reception
 from companion.traffic.right_of_way import rank_of, share_of
 from companion.traffic.sender_details import Source
 from companion.traffic.signatures import Signatures
-from companion.traffic.table import ADDRESSES_PER_TRACK, TRACKS_PER_IDENTITY, Table
+from companion.traffic.table import ADDRESSES_PER_TRACK, TRACKS_PER_IDENTITY, Newcomer, Table
 from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, same
 
 _MAX_RANGE_M = 50_000.0
@@ -72,6 +74,8 @@ class TrafficCounts:
     own_echo: int = 0
     refused_full: int = 0
     evicted: int = 0
+    crowded: int = 0
+    """Frames (not only Locations) that a crowded step left out."""
 
 
 class Traffic:
@@ -114,6 +118,31 @@ class Traffic:
         """Store the own state (local NED), to recognise echoes of own messages and to rank tracks."""
         self._own.note(now_s, position, velocity)
         self._table.note_own(now_s, position, velocity)
+
+    def hear_all(
+        self,
+        frames: Sequence[RemoteIdHeard],
+        now_s: float,
+        utc_offset_s: float | None,
+        frame: LocalFrame,
+        separation_m: float | None,
+    ) -> None:
+        """Process the frames of one step, or of a flood those that matter (`flood.choice`).
+
+        Arguments are those of `hear`.
+        """
+        used = chosen(
+            frames,
+            now_s,
+            held=self._table.sources.of,
+            tracks_of=self._of,
+            judgement=self.judgement,
+            frame=frame,
+            separation_m=separation_m,
+        )
+        self.counts.crowded += len(frames) - len(used)
+        for heard in used:
+            self.hear(heard, now_s, utc_offset_s, frame, separation_m)
 
     def hear(
         self,
@@ -373,56 +402,57 @@ class Traffic:
         self, identity: str, known: list[Track], source: Source, fix: Fix, now_s: float
     ) -> Track | None:
         others = list(known)
-        track = self._new_track(identity, source, fix, now_s)
-        self._table.add(track, now_s)
-        victim = self._table.make_room(track, others, now_s)
-        if victim is track:
+        track_id = identity
+        while track_id in self.tracks:
+            self._split_number += 1
+            track_id = f"{identity}#{self._split_number}"
+        newcomer = self._table.newcomer(track_id, source, fix, now_s)
+        room, evicted = self._table.make_room(newcomer, others, now_s)
+        if not room:
             self.counts.refused_full += 1
             return None
-        track.remember(fix)  # After `make_room`: in a flood most newcomers find no room.
+        track = _new_track(identity, newcomer, source, fix, now_s)
         track.believe(fix, now_s, self._loss_s)
-        self.counts.evicted += victim is not None
+        self._table.add(track, now_s, newcomer)
+        source.fed.append(track)
+        self.counts.evicted += evicted
         self.counts.split += bool(others)
         self._judge.first_message(track, known, source, fix, now_s)
         self.counts.updates += 1
         return track
 
-    def _new_track(self, identity: str, source: Source, fix: Fix, now_s: float) -> Track:
-        track_id = identity
-        while track_id in self.tracks:
-            self._split_number += 1
-            track_id = f"{identity}#{self._split_number}"
-        first_lead_s = 0.0 if fix.stamp_s is None else fix.stamp_s - now_s
-        together = self._table.burst.note(now_s)
-        sound = sound_of(source.about.transport, source.about.address, source.about.rssi_dbm)
-        track = Track(
-            track_id=track_id,
-            identity=identity,
-            position_ned_m=fix.position,
-            velocity_ned_mps=fix.velocity or (0.0, 0.0, 0.0),
-            velocity_known=fix.velocity is not None,
-            sample_s=now_s if fix.stamp_s is None else min(fix.stamp_s, now_s),
-            received_s=now_s,
-            sigma_m=fix.sigma_m,
-            sigma_mps=fix.sigma_mps,
-            vertical_known=fix.vertical_known,
-            content=fix.content,
-            leads_s=deque([first_lead_s], maxlen=_LEADS),
-            about=About(source.about.transport, source.about.address),
-            sources=deque([source.key], maxlen=ADDRESSES_PER_TRACK),
-            fed_by={source.about.transport: source.key},
-            motion=MotionWindow(fix, now_s),
-            opened_s=now_s,
-            group="together" if together else sound,
-            allowance=allowance_of(sound),
-            together=together,
-            base_lead_s=first_lead_s,
-            clock_s=now_s,
-            declared_s=None if fix.velocity is None else now_s,
-        )
-        source.fed.append(track)
-        track.about.update(source.about)
-        return track
+
+def _new_track(identity: str, newcomer: Newcomer, source: Source, fix: Fix, now_s: float) -> Track:
+    about, key = source.about, source.key
+    first_lead_s = 0.0 if fix.stamp_s is None else fix.stamp_s - now_s
+    track = Track(
+        track_id=newcomer.track_id,
+        identity=identity,
+        position_ned_m=fix.position,
+        velocity_ned_mps=fix.velocity or (0.0, 0.0, 0.0),
+        velocity_known=fix.velocity is not None,
+        sample_s=newcomer.sample_s,
+        received_s=now_s,
+        sigma_m=fix.sigma_m,
+        sigma_mps=fix.sigma_mps,
+        vertical_known=fix.vertical_known,
+        content=fix.content,
+        leads_s=deque([first_lead_s], maxlen=_LEADS),
+        about=About(about.transport, about.address),
+        sources=deque([key], maxlen=ADDRESSES_PER_TRACK),
+        fed_by={about.transport: key},
+        motion=MotionWindow(fix, now_s),
+        opened_s=now_s,
+        group="together" if newcomer.together else newcomer.sound,
+        allowance=newcomer.allowance,
+        together=newcomer.together,
+        base_lead_s=first_lead_s,
+        clock_s=now_s,
+        declared_s=None if fix.velocity is None else now_s,
+    )
+    track.about.update(about)
+    track.remember(fix)
+    return track
 
 
 def _rank(track: Track) -> int:

@@ -10,8 +10,9 @@ Rules, each against one way around the others:
 - A track has `track_s`, of which it may be inside its volume around the aircraft for `inside_s`: an honest
   aircraft that is avoided does not stay there. Its memory outlives the track, so that silence renews nothing,
   and a track that is first heard inside its volume takes over what the last ones there have used.
-- A track that has been inside for `PRESSES_S` yields to others: while any other is near or in conflict, it is
-  left out. Between both there may be no way out, and the law would divide the violation between them.
+- A track that has been inside for `PRESSES_S`, or follows the aircraft (`following`), yields to others: while
+  any other is near or in conflict, it is left out. Between both there may be no way out, and the law would
+  divide the violation between them. It is avoided again if the aircraft comes nearer to it than before.
 - Tracks of one group have `group_s` together. Once that is spent, each of them has a quarter of `track_s`: a
   fake cannot spend the allowance of an honest aircraft by sounding like it.
 - All of them have `total_s` for the time in which the aircraft is held, the way back included. The last
@@ -32,6 +33,7 @@ from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from companion.authority.influence.following import Followers
 from companion.avoidance.law import ASIDE, VERTICAL_SCALE, LawResult, Neighbour
 from companion.config import Config, ContainmentConfig
 from companion.events import AllowanceSpent, Command, Say, Severity, TrackView
@@ -96,6 +98,7 @@ class _Known:
     used: _Used = field(default_factory=_Used)
     inside: _Used = field(default_factory=_Used)
     pressed_s: float = 0.0
+    follows: bool = False
     entered: bool = False
     """It has been inside its volume."""
     reserved: bool = False
@@ -109,7 +112,7 @@ class _Known:
 
     @property
     def presses(self) -> bool:
-        return self.pressed_s >= PRESSES_S
+        return self.pressed_s >= PRESSES_S or self.follows
 
     def inherit(self, others: Iterable[_Known]) -> None:
         """Take over the most that other tracks have used."""
@@ -134,6 +137,7 @@ class Allowances:
 
     def __init__(self, config: Config) -> None:
         self._tracks: dict[_Key, _Known] = {}
+        self._followers = Followers()
         self._groups: dict[str, _Used] = {}
         self._total, self._crewed = _Used(), _Used()
         self._low_s: float | None = None
@@ -158,8 +162,14 @@ class Allowances:
         told, self._told = self._told, []
         return told
 
-    def admitted(self, now_s: float, neighbours: Sequence[Neighbour]) -> list[Neighbour]:
-        """The neighbours that the law is to avoid, in their order."""
+    def admitted(
+        self, now_s: float, here: Vec3, velocity: Vec3, neighbours: Sequence[Neighbour]
+    ) -> list[Neighbour]:
+        """The neighbours that the law is to avoid, in their order.
+
+        Args:
+            here, velocity: own position and velocity (NED, m and m/s).
+        """
         for other in neighbours:
             if other.proven:
                 continue
@@ -168,6 +178,7 @@ class Allowances:
             if known is None:
                 known = self._tracks[key] = _Known(now_s, now_s, position, now_s)
             if other.track_id == key[1]:
+                known.follows = self._followers.hear(now_s, key, here, velocity, other)
                 known.see(now_s, position)
         self._forget(now_s)
         return [other for other in neighbours if self._counts(now_s, other)]
@@ -197,6 +208,7 @@ class Allowances:
         self,
         now_s: float,
         here: Vec3,
+        velocity: Vec3,
         result: LawResult,
         neighbours: Iterable[Neighbour],
         *,
@@ -206,7 +218,7 @@ class Allowances:
         """Charge the time since the last decision.
 
         Args:
-            here: own position (NED, m).
+            here, velocity: own position and velocity (NED, m and m/s).
             result: decision that was just made.
             neighbours: those that the law was given.
             held: whether the companion flies the vehicle.
@@ -223,6 +235,7 @@ class Allowances:
         acting = [other for other, view in seen if held and (view.conflict or view.active)]
         for other in acting:
             self._conflict_s[other.crewed] = now_s
+            self._followers.conflict(now_s, _key(other), here, velocity, other)
         self._charge_tracks(now_s, passed_s, [other for other in acting if not other.crewed], inside)
         counts = held and (self._guards or not back)
         self._charge_totals(now_s, passed_s if counts else 0.0)

@@ -14,6 +14,8 @@ SHORT = ContainmentConfig(
     track_s=40.0, inside_s=20.0, group_s=60.0, total_s=100.0, refill_s=1000.0, crewed_total_s=50.0
 )
 
+ZERO = (0.0, 0.0, 0.0)
+
 
 def other(name, *, at=(20.0, 0.0, 0.0), velocity=(1.0, 0.0, 0.0), **fields):
     return Neighbour(name, at, velocity, 0.0, 3.0, **fields)
@@ -46,7 +48,7 @@ class Sky:
                 )
                 for o in others
             ]
-            admitted = self.all.admitted(self.now_s, others)
+            admitted = self.all.admitted(self.now_s, ZERO, ZERO, others)
             views = tuple(
                 TrackView(
                     track_id=o.track_id, position_ned_m=o.position_ned_m, velocity_ned_mps=o.velocity_ned_mps,
@@ -55,9 +57,8 @@ class Sky:
                 )
                 for o in admitted
             )  # fmt: skip
-            zero = (0.0, 0.0, 0.0)
-            result = LawResult(zero, zero, True, bool(views), False, (), views)
-            self.all.charge(self.now_s, zero, result, admitted, held=held, back=back)
+            result = LawResult(ZERO, ZERO, True, bool(views), False, (), views)
+            self.all.charge(self.now_s, ZERO, ZERO, result, admitted, held=held, back=back)
             self.told += self.all.told()
             self.hold = self.hold or self.all.hold
         return [o.track_id for o in admitted]
@@ -196,11 +197,11 @@ def test_a_guarded_vehicle_is_charged_until_it_is_given_back(use, charged):
 
 def test_what_is_remembered_is_bounded():
     sky = Sky()
-    sky.all.admitted(0.0, [other("A")])
+    sky.all.admitted(0.0, ZERO, ZERO, [other("A")])
     for n in range(30):
-        sky.all.admitted(1.0, [other(f"{n}/{m}") for m in range(100)])
+        sky.all.admitted(1.0, ZERO, ZERO, [other(f"{n}/{m}") for m in range(100)])
     assert len(sky.all._tracks) == 1000
-    sky.all.admitted(100.0, [])
+    sky.all.admitted(100.0, ZERO, ZERO, [])
     assert not sky.all._tracks
 
 

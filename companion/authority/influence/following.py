@@ -1,0 +1,140 @@
+"""Tells aircraft that move with us, whatever we do, from those that fly their own way.
+
+Whoever pushes this aircraft about must follow it. An honest aircraft does not: blind ones fly straight on or
+turn as they like, and those that avoid turn the other way. So a track follows if it has kept its place beside
+us while we were pushed off our way, although that is not where it would be
+
+- if it had flown straight on since the conflict began: it bends as we do; or
+- by the velocities that it reports: it seems to come nearer all the time, but does not.
+
+What follows us when we give way keeps its distance also when we come back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable
+from dataclasses import dataclass, replace
+
+from companion.avoidance.law import Neighbour
+from companion.geometry import Vec3
+
+PUSHED_M = 10.0
+"""How far we must have been pushed, and how far it must be from where it would be."""
+_HEIR_S = 15.0
+"""A silent track is predicted for so long; meanwhile another name may go on where it was."""
+_LASTS_S = 1.0
+"""Time for which a track must have followed; one message is no evidence."""
+_MOST = 32
+"""Most conflicts that are examined at a time."""
+_FRESH_S = 2.0
+"""Greatest age of a message that shows where a track is beside us."""
+_NEARER = 0.75
+"""A track that comes nearer than this share of the distance at which it has followed does not follow."""
+_BEGINS_S = 5.0
+"""After so long without a conflict, another begins."""
+
+
+@dataclass(slots=True)
+class _Conflict:
+    """A conflict with a track: how it began, and what the track has done since. NED, m and m/s."""
+
+    began_s: float
+    own: Vec3
+    own_mps: Vec3
+    place: Vec3
+    mps: Vec3
+    began_beside: Vec3
+    """Place of the track relative to us."""
+    reported: Vec3
+    """Where the track would be by the velocities that it has reported since."""
+    beside: Vec3
+    """Place of the track relative to us when it was last heard."""
+    at_s: float
+    """Time of the last conflict, or for one that follows, of its last message."""
+    since_s: float
+    """Time since which it has followed."""
+    follows_at_m: float = 0.0
+    """Distance at which it was found to follow; 0: it was not."""
+
+    def look(self, now_s: float, own: Vec3, place: Vec3, mps: Vec3) -> None:
+        """Take in the present state during the conflict."""
+        self.reported, self.at_s = _after(self.reported, now_s - self.at_s, mps), now_s
+        passed_s = now_s - self.began_s
+        pushed = _minus(own, _after(self.own, passed_s, self.own_mps))
+        pushed_m = math.hypot(*pushed)
+        bent = _minus(place, _after(self.place, passed_s, self.mps))
+        with_us = sum(a * b for a, b in zip(bent, pushed, strict=True)) > 0.5 * pushed_m * pushed_m
+        if (
+            pushed_m < PUSHED_M
+            or math.dist(self.beside, self.began_beside) > 0.5 * pushed_m
+            or not (with_us or math.dist(place, self.reported) > max(PUSHED_M, 0.5 * pushed_m))
+        ):
+            self.since_s = now_s
+        elif not self.follows_at_m and now_s - self.since_s >= _LASTS_S:
+            self.follows_at_m = math.hypot(*self.beside)
+
+
+class Followers:
+    """The conflicts with all tracks. A key names a track."""
+
+    def __init__(self) -> None:
+        self._conflicts: dict[Hashable, _Conflict] = {}
+
+    def hear(self, now_s: float, key: Hashable, own: Vec3, own_mps: Vec3, other: Neighbour) -> bool:
+        """Take in the state of a track, in conflict or not; True if it follows.
+
+        Args:
+            own, own_mps: own place and velocity.
+        """
+        found = self._conflicts.get(key)
+        if found is None:
+            return False
+        if other.age_s <= _FRESH_S:
+            found.beside = _beside(own, own_mps, other)
+            if math.hypot(*found.beside) < _NEARER * found.follows_at_m:
+                del self._conflicts[key]
+                return False
+            if found.follows_at_m:
+                found.at_s = now_s
+        return found.follows_at_m > 0.0
+
+    def conflict(self, now_s: float, key: Hashable, own: Vec3, own_mps: Vec3, other: Neighbour) -> None:
+        """Take in that a track is in conflict now. Call `hear` before."""
+        place, mps = _after(other.position_ned_m, other.age_s, other.velocity_ned_mps), other.velocity_ned_mps
+        found = self._conflicts.get(key)
+        if found is None or now_s - found.at_s > _BEGINS_S:
+            self._forget(now_s)
+            if len(self._conflicts) >= _MOST:
+                return
+            beside = _beside(own, own_mps, other)
+            fresh = _Conflict(now_s, own, own_mps, place, mps, beside, place, beside, now_s, now_s)
+            found = self._conflicts[key] = self._earlier(now_s, beside) or fresh
+        found.look(now_s, own, place, mps)
+
+    def _earlier(self, now_s: float, beside: Vec3) -> _Conflict | None:
+        """The conflict that goes on under another name: a track had this place beside us."""
+        near = (c for c in self._conflicts.values() if math.dist(beside, c.beside) <= PUSHED_M)
+        found = next(near, None)
+        return None if found is None else replace(found, at_s=now_s)
+
+    def _forget(self, now_s: float) -> None:
+        old = [key for key, c in self._conflicts.items() if now_s - c.at_s > _HEIR_S]
+        if len(self._conflicts) - len(old) >= _MOST:
+            old = [key for key, c in self._conflicts.items() if now_s > c.at_s and not c.follows_at_m]
+        for key in old:
+            del self._conflicts[key]
+
+
+def _beside(own: Vec3, own_mps: Vec3, other: Neighbour) -> Vec3:
+    """Place of another aircraft relative to us at the time of its message."""
+    return _minus(other.position_ned_m, _after(own, -other.age_s, own_mps))
+
+
+def _after(place: Vec3, passed_s: float, mps: Vec3) -> Vec3:
+    (n, e, d), (vn, ve, vd) = place, mps
+    return n + passed_s * vn, e + passed_s * ve, d + passed_s * vd
+
+
+def _minus(a: Vec3, b: Vec3) -> Vec3:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]

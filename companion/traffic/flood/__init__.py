@@ -1,0 +1,1 @@
+"""What a flood of received frames may cost."""

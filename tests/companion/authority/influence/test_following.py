@@ -1,0 +1,143 @@
+"""Who moves with us, and who flies its own way."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.authority.influence.following import Followers
+from companion.avoidance.law import Neighbour
+
+PERIOD_S = 0.2
+
+
+class Pair:
+    """The own aircraft and others, decision by decision; it is pushed to the east from 10 s on."""
+
+    def __init__(self, *, pushed_mps=4.0, message_s=0.5, noise_m=0.0, seed=1):
+        self.followers = Followers()
+        self.now_s = 0.0
+        self.own, self.own_mps = np.zeros(3), np.array([7.0, 0.0, 0.0])
+        self._pushed_mps, self._message_s, self._noise_m = pushed_mps, message_s, noise_m
+        self._rng = np.random.default_rng(seed)
+        self._last = {}
+
+    def step(self, **others):
+        """Others by name: place and reported velocity. Returns the names of those that follow."""
+        self.now_s += PERIOD_S
+        if self.now_s > 10.0:
+            self.own_mps = np.array([7.0, self._pushed_mps, 0.0])
+        self.own = self.own + PERIOD_S * self.own_mps
+        found = set()
+        for name, (place, mps) in others.items():
+            at_s, held = self._last.get(name, (-math.inf, None))
+            if self.now_s - at_s >= self._message_s:
+                noisy = np.array(place) + self._noise_m * self._rng.standard_normal(3)
+                self._last[name] = at_s, held = self.now_s, (noisy, np.array(mps))
+            other = Neighbour(name, tuple(held[0]), tuple(held[1]), self.now_s - at_s, 3.0)
+            own = tuple(self.own.tolist()), tuple(self.own_mps.tolist())
+            if self.followers.hear(self.now_s, name, *own, other):
+                found.add(name)
+            self.followers.conflict(self.now_s, name, *own, other)
+        return found
+
+    def fly(self, seconds, name, where):
+        """When the track first followed (s); None: never."""
+        first = None
+        for _ in range(round(seconds / PERIOD_S)):
+            if self.step(**{name: where(self)}) and first is None:
+                first = self.now_s
+        return first
+
+
+def ghost(offset, closing_mps=0.0):
+    """Keeps its place beside us, and says that it comes nearer."""
+    out = np.array(offset) / np.linalg.norm(offset)
+    return lambda pair: (pair.own + offset, pair.own_mps - closing_mps * out)
+
+
+@pytest.mark.parametrize("closing_mps", [0.0, 0.5, 1.0, 2.0, 4.0, 8.0])
+@pytest.mark.parametrize("offset", [(0.0, -12.0, 0.0), (-10.0, -20.0, 8.0), (0.0, -35.0, 0.0)])
+def test_one_that_keeps_its_place_beside_us_while_we_are_pushed_follows(offset, closing_mps):
+    first = Pair(noise_m=1.0).fly(30.0, "GHOST", ghost(np.array(offset), closing_mps))
+    assert 13.0 < first < 21.0
+
+
+def line(start, mps):
+    return lambda pair: (np.array(start) + pair.now_s * np.array(mps), mps)
+
+
+def turning(start, speed, course, turn):
+    def where(pair):
+        angle = course + turn * pair.now_s
+        gone = speed / turn * np.array([math.sin(angle) - math.sin(course),
+                                        math.cos(course) - math.cos(angle), 0.0])  # fmt: skip
+        return np.array(start) + gone, (speed * math.cos(angle), speed * math.sin(angle), 0.0)
+
+    return where
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "where",
+    [
+        line((0.0, -20.0, 0.0), (7.0, 0.0, 0.0)),  # parallel
+        line((0.0, -60.0, 0.0), (7.0, 3.9, 0.0)),  # we fly along before it, pushed
+        line((0.0, -30.0, 0.0), (6.0, 2.0, 0.0)),  # converging
+        line((200.0, 0.0, 0.0), (-7.0, 0.5, 0.0)),
+        lambda pair: ((0.0, -15.0, 0.0) + pair.now_s * np.array([7.0, 0.0, 0.0]), (7.0, 0.0, 0.0)),
+        turning((0.0, -25.0, 0.0), 7.0, 0.0, -0.05),
+        turning((100.0, -90.0, 0.0), 9.0, 1.2, -0.04),
+    ],
+)
+def test_blind_aircraft_that_fly_straight_or_turn_do_not_follow(where, seed):
+    assert Pair(message_s=1.0, noise_m=2.0, seed=seed).fly(40.0, "HONEST", where) is None
+
+
+def test_one_that_avoids_by_turning_the_other_way_does_not_follow():
+    def where(pair):
+        away = -4.0 * max(pair.now_s - 10.0, 0.0)
+        return (7.0 * pair.now_s, -20.0 + away, 0.0), (7.0, -4.0 if pair.now_s > 10.0 else 0.0, 0.0)
+
+    assert Pair().fly(30.0, "HONEST", where) is None
+
+
+def test_another_name_at_the_same_place_goes_on_where_it_was():
+    offset = np.array((0.0, -30.0, 0.0))
+    pair = Pair()
+    assert pair.fly(16.0, "A", ghost(offset, 3.0)) is not None
+    assert pair.fly(1.0, "B", ghost(offset, 3.0)) <= 16.5
+    assert pair.fly(2.0, "C", ghost(-offset, 3.0)) is None
+
+
+def test_names_that_change_faster_than_one_can_be_judged_are_judged_together():
+    pair, offset, first = Pair(), np.array((0.0, -30.0, 0.0)), None
+    for number in range(10):
+        found = pair.fly(1.0, f"G{number}", ghost(offset, 2.0))
+        first = first or found
+    for number in range(10, 20):
+        first = first or pair.fly(1.0, f"G{number}", ghost(offset, 2.0))
+    assert first < 19.0
+
+
+def test_one_that_followed_is_avoided_again_when_it_comes_nearer():
+    """A real aircraft that no longer follows, towards which we fly."""
+    pair, offset = Pair(), np.array((0.0, -24.0, 0.0))
+    assert pair.fly(16.0, "A", ghost(offset)) is not None
+    stays, nearest = pair.own + offset, None
+    pair._pushed_mps = -4.0
+    for step in range(20):
+        place = stays + step * PERIOD_S * np.array([7.0, 0.0, 0.0])
+        followed = pair.step(A=(place, (7.0, 0.0, 0.0)))
+        if not followed and nearest is None:
+            nearest = math.dist(place, pair.own)
+    assert 14.0 < nearest < 18.5
+
+
+def test_what_is_remembered_is_bounded():
+    pair = Pair()
+    for number in range(300):
+        pair.step(**{f"N{number}": (pair.own + (0.0, -20.0 - 15.0 * number, 0.0), (7.0, 0.0, 0.0))})
+    assert len(pair.followers._conflicts) <= 32
