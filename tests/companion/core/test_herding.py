@@ -119,6 +119,27 @@ def test_an_honest_blind_aircraft_is_avoided_while_a_ghost_presses(use, offset):
     assert least > 10.0
 
 
+@pytest.mark.parametrize("use", ["guard", "fly"])
+@pytest.mark.parametrize("renamed_s", [1000.0, 5.0])
+@pytest.mark.parametrize("closing_mps", [0.0, 2.0, 5.0])
+def test_a_ghost_does_not_push_the_aircraft_into_one_that_flies_beside(use, renamed_s, closing_mps):
+    """It appears on the other side, and may seem to come nearer all the time. We are on the way back soon."""
+    bench, way = herded(use), np.array([3.0, 0.0, 0.0])
+    start, since_s = bench.place + np.array([0.0, 50.0, 0.0]), bench.now_s
+    honest = sender("HONEST", straight(start, way, since_s))
+    bench.fly(5.0, honest)
+
+    def ghost(bench):
+        return bench.place - np.array([0.0, 18.0, 0.0]), bench.speed + np.array([0.0, closing_mps, 0.0])
+
+    bench.fly(27.0, honest, sender(lambda now_s: f"G{int(now_s / renamed_s)}", ghost))
+    times = 0.05 * np.arange(1, len(bench.way) + 1)
+    least = np.linalg.norm(np.array(bench.way) - start - times[:, None] * way, axis=1).min()
+    assert least > 20.0
+    assert abs(bench.place[1]) < 18.0
+    assert any(c.scope == "squeeze" for c in bench.spent)
+
+
 def test_an_honest_blind_aircraft_is_avoided_after_the_ghost_has_spent_everything_it_had():
     ghost = sender("GHOST", follower(ASIDE))
     config = msgspec.structs.replace(SMALL, total_s=200.0)

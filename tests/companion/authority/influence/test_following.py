@@ -139,5 +139,6 @@ def test_one_that_followed_is_avoided_again_when_it_comes_nearer():
 def test_what_is_remembered_is_bounded():
     pair = Pair()
     for number in range(300):
-        pair.step(**{f"N{number}": (pair.own + (0.0, -20.0 - 15.0 * number, 0.0), (7.0, 0.0, 0.0))})
+        place = pair.own - np.array([0.0, 20.0 + 15.0 * number, 0.0])
+        pair.step(**{f"N{number}": (place, (7.0, 0.0, 0.0))})
     assert len(pair.followers._conflicts) <= 32
