@@ -16,6 +16,7 @@ from bench.figures import reference_s
 NAMES = (
     "avoidance",
     "core",
+    "flood",
     "gate",
     "aboard",
     "lockstep",

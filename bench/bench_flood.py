@@ -1,9 +1,8 @@
 """What a step of the core costs in a flood of 5,000 Remote ID frames a second, and what is heard in it.
 
-The own aircraft holds 64 established tracks. One of them, the honest one, is in conflict and sends five frames
-a second; its share that is heard must be at least 95 %. The frames of the flood are decoded from bytes, as the
-radios do, 256 in a step at most. CPU time; each flood is flown several times, and the least time of each step
-counts.
+The own aircraft holds 64 established tracks. One of them, the honest one, is in conflict and sends five
+frames a second; at least 95 % of them must be heard. The frames of the flood are decoded from bytes, as the
+radios do. CPU time; each flood is flown several times, and the least time of each step counts.
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ RATE = 5000
 """Frames of the flood a second."""
 QUIET_S, FLOOD_S, FLIGHTS = 4, 6, 3
 ESTABLISHED = 64
-MOST_MS, LEAST_HEARD, MOST_MB = 20.0, 95.0, 5.0
-"""Targets of the slowest step, the share of honest frames heard, and the growth of memory."""
+MOST_MS, LEAST_HEARD, MOST_MB = 20.0, 95.0, 10.0
+"""Targets of the slowest step, the share of honest frames heard, and the growth of memory in three floods."""
 OWN_MPS = 3.0
 
 Raw = tuple[str, str, bytes]
@@ -181,8 +180,8 @@ def companion() -> Companion:
 
 
 def fly(steps: Steps) -> Iterator[tuple[float, float, bool | None]]:
-    """Of each step in the flood: CPU time (s) of decoding and of the core, and whether the honest aircraft was
-    heard; None if it did not send."""
+    """Of each step in the flood: CPU time (s) of decoding and of the core, and whether the honest aircraft
+    was heard; None if it did not send."""
     core, receiver = companion(), FrameReceiver()
     for now_s, events, raw, honest in steps:
         began = time.thread_time()
@@ -224,6 +223,7 @@ def main() -> None:
         slowest, least, grown = max(slowest, most), min(least, share), max(grown, grew)
     target("slowest step in a flood", slowest, "ms", most=MOST_MS)
     target("honest frames heard in a flood", least, "%", least=LEAST_HEARD)
+    target("growth of memory in three floods", grown, "MB", most=MOST_MB)
 
 
 if __name__ == "__main__":

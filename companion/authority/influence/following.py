@@ -31,6 +31,8 @@ _FRESH_S = 2.0
 """Greatest age of a message that shows where a track is beside us."""
 _NEARER = 0.75
 """A track that comes nearer than this share of the distance at which it has followed does not follow."""
+_SOON_S, _TRUE_MPS = 2.0, 1.0
+"""So does one that will have come so near soon, if the velocities that it reported were true to this."""
 _BEGINS_S = 5.0
 """After so long without a conflict, another begins."""
 
@@ -56,6 +58,8 @@ class _Conflict:
     """Time since which it has followed."""
     follows_at_m: float = 0.0
     """Distance at which it was found to follow; 0: it was not."""
+    truthful: bool = False
+    """Until then it flew as it reports."""
 
     def look(self, now_s: float, own: Vec3, place: Vec3, mps: Vec3) -> None:
         """Take in the present state during the conflict."""
@@ -73,6 +77,7 @@ class _Conflict:
             self.since_s = now_s
         elif not self.follows_at_m and now_s - self.since_s >= _LASTS_S:
             self.follows_at_m = math.hypot(*self.beside)
+            self.truthful = math.dist(place, self.reported) <= _TRUE_MPS * passed_s
 
 
 class Followers:
@@ -91,8 +96,10 @@ class Followers:
         if found is None:
             return False
         if other.age_s <= _FRESH_S:
-            found.beside = _beside(own, own_mps, other)
-            if math.hypot(*found.beside) < _NEARER * found.follows_at_m:
+            found.beside = soon = _beside(own, own_mps, other)
+            if found.truthful:
+                soon = _after(soon, _SOON_S, _minus(other.velocity_ned_mps, own_mps))
+            if math.hypot(*soon) < _NEARER * found.follows_at_m:
                 del self._conflicts[key]
                 return False
             if found.follows_at_m:

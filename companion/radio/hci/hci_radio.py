@@ -27,7 +27,7 @@ from companion.radio.radio import Health, RadioContext
 from companion.remote_id.messages import Message
 from companion.remote_id.transports import BLE5
 
-_MAX_FRAMES: Final = 64
+_MAX_FRAMES: Final = 256
 """Maximum number of frames read per call of `heard`, so that a flood does not hold up the loop."""
 _SELECT_S: Final = 0.25
 _FLOOD_PAUSE_S: Final = 0.002

@@ -119,6 +119,57 @@ def test_an_honest_blind_aircraft_is_avoided_while_a_ghost_presses(use, offset):
     assert least > 10.0
 
 
+@pytest.mark.parametrize("use", ["guard", "fly"])
+@pytest.mark.parametrize("renamed_s", [1000.0, 5.0])
+@pytest.mark.parametrize("closing_mps", [0.0, 2.0, 5.0])
+def test_a_ghost_does_not_push_the_aircraft_into_one_that_flies_beside(use, renamed_s, closing_mps):
+    """It appears on the other side, and may seem to come nearer all the time. We are on the way back soon."""
+    bench, way = herded(use), np.array([3.0, 0.0, 0.0])
+    start, since_s = bench.place + np.array([0.0, 50.0, 0.0]), bench.now_s
+    honest = sender("HONEST", straight(start, way, since_s))
+    bench.fly(5.0, honest)
+
+    def ghost(bench):
+        return bench.place - np.array([0.0, 18.0, 0.0]), bench.speed + np.array([0.0, closing_mps, 0.0])
+
+    bench.fly(27.0, honest, sender(lambda now_s: f"G{int(now_s / renamed_s)}", ghost))
+    times = 0.05 * np.arange(1, len(bench.way) + 1)
+    least = np.linalg.norm(np.array(bench.way) - start - times[:, None] * way, axis=1).min()
+    assert least > 20.0
+    assert abs(bench.place[1]) < 25.0
+    assert any(c.scope == "squeeze" for c in bench.spent)
+
+
+class RealFollower:
+    """A real aircraft that flies after this one with a lag, until it stops doing so and flies straight on."""
+
+    def __init__(self, bench, offset, stops_s):
+        self.place, self.speed = bench.place + np.array(offset), bench.speed.copy()
+        self.offset, self.stops_s = np.array(offset), bench.now_s + stops_s
+        self.way = []
+
+    def __call__(self, bench):
+        if bench.now_s < self.stops_s:
+            self.speed = bench.speed + 0.4 * (bench.place + self.offset - self.place)
+        self.way.append(self.place)
+        self.place = self.place + 0.5 * self.speed
+        return self.way[-1], self.speed
+
+
+@pytest.mark.parametrize("use", ["guard", "fly"])
+@pytest.mark.parametrize("stops_s", [8.0, 14.0, 100.0])
+def test_a_real_follower_is_not_flown_into_while_another_is_beside(use, stops_s):
+    bench, way = herded(use), np.array([3.0, 0.0, 0.0])
+    start, since_s = bench.place + np.array([0.0, 45.0, 0.0]), bench.now_s
+    follower_ = RealFollower(bench, (0.0, -18.0, 0.0), stops_s)
+    bench.fly(40.0, sender("BESIDE", straight(start, way, since_s)), sender("FOLLOWS", follower_))
+    own = np.array(bench.way)
+    times = 0.05 * np.arange(1, len(own) + 1)
+    assert np.linalg.norm(own - start - times[:, None] * way, axis=1).min() > 10.0
+    # Sampled when it sends, before our step.
+    assert min(map(math.dist, own[9::10], follower_.way[1:])) > 10.0
+
+
 def test_an_honest_blind_aircraft_is_avoided_after_the_ghost_has_spent_everything_it_had():
     ghost = sender("GHOST", follower(ASIDE))
     config = msgspec.structs.replace(SMALL, total_s=200.0)

@@ -114,7 +114,8 @@ def copied_address(sky, k):
     (_, location) = sky.honest().messages
     lat = location.lat_deg + (k % 7 + 1) * 4e-4
     at = Location(lat_deg=lat, lon_deg=location.lon_deg, alt_geodetic_m=447.0, speed_mps=6.0,
-                  direction_deg=180.0, horizontal_accuracy_m=3.0, timestamp_s=location.timestamp_s)  # fmt: skip
+                  direction_deg=180.0, horizontal_accuracy_m=3.0,
+                  timestamp_s=location.timestamp_s)  # fmt: skip
     basic = BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.OTHER, uas_id=f"C{k}")
     return RemoteIdHeard(transport="wifi", address=ADDRESS, messages=(basic, at))
 
@@ -162,8 +163,15 @@ def test_an_established_threat_is_heard_in_a_flood_and_the_flood_is_bounded(kind
     assert used <= STEPS * (choice.KNOWN + choice.STRANGE + choice.NAMELESS)
 
 
-@pytest.mark.parametrize("name", ["new names and addresses", "new names and addresses, in conflict",
-                                  "new names, one address, in conflict", "200 names, in conflict"])  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    [
+        "new names and addresses",
+        "new names and addresses, in conflict",
+        "new names, one address, in conflict",
+        "200 names, in conflict",
+    ],
+)
 @pytest.mark.parametrize("flood_steps", [1, 10])
 def test_a_threat_that_appears_in_a_flood_is_tracked_from_its_first_message(name, flood_steps):
     """A flood that is in conflict comes from behind, so that the threat has a direction of its own."""
