@@ -14,7 +14,7 @@ from companion.arrays import AnyFloats
 from companion.atmc.actions import TRANSPORTS
 from companion.atmc.observation import conflict_weight, identity_of, neighbour_rows, own_row
 from companion.ownship import Ownship
-from companion.traffic.reception import HEARD_S, Reception
+from companion.traffic.senders.reception import HEARD_S, Reception
 from companion.traffic.track import Track
 from companion.traffic.tracks import Traffic
 

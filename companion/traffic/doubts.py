@@ -19,7 +19,7 @@ from companion.traffic.plausibility import (
     climbs_impossibly,
     message_doubts,
 )
-from companion.traffic.sender_details import Source
+from companion.traffic.senders.source import Source
 from companion.traffic.signal_strength import MATCH, MISMATCH
 from companion.traffic.signatures import FRESH_S, Signatures, Verdict
 from companion.traffic.track import ESTABLISHED, Track, apart, beside

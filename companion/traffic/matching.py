@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from companion.geometry import Vec3
 from companion.traffic.fix import Fix, height_error_m
 from companion.traffic.plausibility import Flag
-from companion.traffic.sender_details import Source
+from companion.traffic.senders.source import Source
 from companion.traffic.track import (
     CLOCKLESS_MOST_S,
     HIGH_M,

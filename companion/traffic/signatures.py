@@ -41,7 +41,7 @@ from companion.remote_id.drip.link import decode_link
 from companion.remote_id.drip.trust import Trust
 from companion.remote_id.messages import Authentication, Location, Message
 from companion.remote_id.transports import BLE4
-from companion.traffic.sender_details import Reported, Source
+from companion.traffic.senders.source import Reported, Source
 from companion.traffic.track import Track
 
 FRESH_S: Final = 10.0

@@ -24,7 +24,7 @@ from companion.traffic.eviction import (
     sound_of,
 )
 from companion.traffic.fix import Fix
-from companion.traffic.sender_details import Source, Sources
+from companion.traffic.senders.source import Source, Sources
 from companion.traffic.track import ESTABLISHED, Track
 
 ADDRESSES_PER_TRACK = 4

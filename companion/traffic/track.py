@@ -11,10 +11,10 @@ from typing import NamedTuple
 from companion.avoidance import kernels
 from companion.geometry import Vec3
 from companion.remote_id.messages import Location
-from companion.traffic.about import About
 from companion.traffic.eviction import Trust
 from companion.traffic.fix import Belief, Fix, belief_of, height_error_m, hold
 from companion.traffic.plausibility import UNTRUSTED, Doubts, Flag, MotionWindow, noise_m
+from companion.traffic.senders.about import About
 from companion.traffic.signal_strength import SignalWitness
 
 _CLOCKLESS_S = 0.5

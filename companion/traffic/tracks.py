@@ -14,33 +14,30 @@ its content is new.
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from operator import itemgetter
 
-import msgspec
-
-from companion.avoidance.law import ASIDE, SIGMAS, Neighbour
+from companion.avoidance.law import Neighbour
 from companion.config import AvoidanceConfig, TrafficConfig
 from companion.events import RemoteIdHeard, Say, TrackFlagged
 from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.authentication import SPECIFIC_METHOD, Assembler, AuthenticationData
 from companion.remote_id.drip.trust import Trust
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, UaType
-from companion.traffic.about import About
 from companion.traffic.doubts import Judge
 from companion.traffic.eviction import Judgement
 from companion.traffic.fix import Belief, Fix, make_fix
 from companion.traffic.flood.choice import chosen
 from companion.traffic.matching import match, same_aircraft
 from companion.traffic.own_flight import OwnFlight
+from companion.traffic.places import neighbours_of
 from companion.traffic.plausibility import Flag, MotionWindow, Reports, status_doubts
-from companion.traffic.reception import Reception
-from companion.traffic.right_of_way import rank_of, share_of
-from companion.traffic.sender_details import Source
+from companion.traffic.right_of_way import rank_of
+from companion.traffic.senders.about import About
+from companion.traffic.senders.reception import Reception
+from companion.traffic.senders.source import Source
 from companion.traffic.signatures import Signatures
 from companion.traffic.table import ADDRESSES_PER_TRACK, TRACKS_PER_IDENTITY, Newcomer, Table
 from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, same
@@ -51,10 +48,6 @@ is too inaccurate there."""
 _LEADS = 5
 _RANKED_EVERY = 8
 """A track is ranked for eviction every so many messages; its standing changes little in between."""
-_MOST_ASIDE = 50
-"""Most places besides those of the tracks that the law is given."""
-_CROWD = 5
-"""Tracks that sound alike are a group from this many on."""
 
 
 @dataclass(slots=True)
@@ -225,48 +218,8 @@ class Traffic:
 
     def neighbours(self, now_s: float) -> list[Neighbour]:
         """Every track, and where else it was lately reported to be, as input of the law."""
-        present = [
-            Neighbour(
-                t.track_id,
-                t.position_ned_m,
-                t.velocity_ned_mps,
-                max(0.0, now_s - t.sample_s),
-                t.sigma_m + (t.wander.error_m + t.signal_reach_m) / SIGMAS,
-                t.sigma_mps,
-                t.past.growth_mps,
-                now_s - t.received_s > t.silent_after_s,
-                share_of(self._own_rank, _rank(t)),
-                t.vertical_known,
-                proven=t.proven,
-                group=t.group if self._table.groups[t.group] >= _CROWD else "",
-            )
-            for t in self.tracks.values()
-        ]
-        return present + self._aside(now_s, present)
-
-    def _aside(self, now_s: float, present: list[Neighbour]) -> list[Neighbour]:
-        """Where else tracks were lately reported to be; at most `_MOST_ASIDE`, those to be lost first."""
-        aside = [
-            (self._loss_s(belief), f"{other.track_id}{ASIDE}{number}", other, belief)
-            for other, track in zip(present, self.tracks.values(), strict=True)
-            for number, belief in enumerate(track.aside, 1)
-            if now_s - belief.agreed_s <= track.silent_after_s
-        ]
-        if len(aside) > _MOST_ASIDE:
-            aside = heapq.nsmallest(_MOST_ASIDE, aside, key=itemgetter(0, 1))
-        return [
-            msgspec.structs.replace(
-                other,
-                track_id=name,
-                position_ned_m=belief.position,
-                velocity_ned_mps=belief.velocity,
-                age_s=max(0.0, now_s - belief.at_s),
-                sigma_m=belief.sigma_m,
-                sigma_mps=belief.sigma_mps,
-                vertical_known=belief.vertical_known,
-            )
-            for _, name, other, belief in aside
-        ]
+        tracks, groups = self.tracks.values(), self._table.groups
+        return neighbours_of(tracks, groups, self._own_rank, self._loss_s, now_s)
 
     def receptions(self, track: Track) -> list[tuple[str, Reception]]:
         """Transport and reception statistics of each radio address of a track."""
@@ -453,8 +406,3 @@ def _new_track(identity: str, newcomer: Newcomer, source: Source, fix: Fix, now_
     track.about.update(about)
     track.remember(fix)
     return track
-
-
-def _rank(track: Track) -> int:
-    told = track.about.basic_id
-    return rank_of(None if told is None else told.ua_type, track.content.status)

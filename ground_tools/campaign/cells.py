@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,31 +14,18 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from companion import config, geometry
 from companion.arrays import Bools, Floats
-from companion.avoidance import kernels, law, trajectory
+from companion.avoidance import kernels, law
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
-from companion.traffic import (
-    doubts,
-    eviction,
-    fix,
-    matching,
-    plausibility,
-    reception,
-    sender_details,
-    table,
-    track,
-    tracks,
-)
-from ground_tools.campaign import compiled, flight, generators, outcome, vehicles
+from ground_tools.campaign import flight, outcome, vehicles
 from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.generators import draw
 from ground_tools.campaign.world import World
 from ground_tools.common.kept_lines import Kept
-from sitl_mocks.encounters import scenario
+from ground_tools.results import sources
 
 Law = Literal["dmuca", "paper", "none"]
 LAWS: dict[Law, AvoidanceConfig] = {
@@ -62,20 +48,12 @@ WORLDS = {
     "fence": World(),
     "all": World(gust_mps2=0.6, clock_s=0.5, own_sigma_mps=0.3, floor_m=70.0, ceiling_m=130.0),
 }
-_TRACKS = (
-    sender_details,
-    eviction,
-    fix,
-    geometry,
-    doubts,
-    matching,
-    plausibility,
-    reception,
-    table,
-    track,
-    tracks,
-    twin_flight,
-)
+FLIGHT = "ground_tools.campaign.flight"
+"""Module that flies an encounter."""
+TWINS = "ground_tools.campaign.twins"
+"""Module that flies an encounter in which two aircraft send one identity."""
+ENCOUNTERS = ("ground_tools.campaign.generators", "companion.avoidance.trajectory")
+"""Modules that draw an encounter."""
 CREWED_MPS = 50.0
 FENCE_ASIDE_M = 20.0
 _FAR_M = 1e4
@@ -331,18 +309,12 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
 
 
 def software(*, twins: bool = False) -> str:
-    """Digest of the source code of law, world and encounters, on which the flights depend.
+    """Digest of the code of law, world and encounters, on which the flights depend.
 
     Args:
-        twins: also include the source code of the tracks.
+        twins: also that of the tracks.
     """
-    modules = [trajectory, config, flight, generators, scenario]
-    if twins:
-        modules += _TRACKS
-    files = [Path(inspect.getsourcefile(module) or "") for module in modules]
-    return hashlib.sha256(
-        b"".join(file.read_bytes() for file in (*compiled.SOURCES, *files, Path(__file__)))
-    ).hexdigest()[:12]
+    return sources.digest([FLIGHT, *([TWINS] if twins else []), *ENCOUNTERS])
 
 
 def baseline(cell: Cell) -> Cell:

@@ -11,7 +11,6 @@ from ground_tools.results import provenance
 from ground_tools.results.provenance import Provenance
 from ground_tools.results.sources import ROOT
 
-_FLIGHT: Final = ("ground_tools.campaign.flight", "ground_tools.campaign.generators")
 _CHANNEL: Final = ROOT / "config" / "channel" / "standard.toml"
 _TRAINED: Final = ("numpy", "torch")
 _FLOWN: Final = ("numba", "numpy")
@@ -76,6 +75,7 @@ def entries() -> list[Entry]:
 
 
 def _tables() -> list[Entry]:
+    from ground_tools.campaign.cells import ENCOUNTERS, FLIGHT, TWINS
     from ground_tools.campaign.tables import TABLES
 
     twins = {"twins", "twins-lost"}
@@ -83,7 +83,7 @@ def _tables() -> list[Entry]:
         Entry(
             f"results/campaign/{name}.json",
             f"ground-tools campaign table {name} --file results/campaign/{name}.json",
-            ("ground_tools.campaign.twins", *_FLIGHT) if name in twins else _FLIGHT,
+            (TWINS if name in twins else FLIGHT, *ENCOUNTERS),
             _campaign,
         )
         for name in TABLES

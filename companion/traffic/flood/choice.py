@@ -28,7 +28,7 @@ from companion.geometry import LocalFrame
 from companion.remote_id.messages import Location
 from companion.traffic.eviction import Judgement
 from companion.traffic.fix import SIGMA_MOST_M, SIGMA_UNKNOWN_M
-from companion.traffic.sender_details import Source
+from companion.traffic.senders.source import Source
 from companion.traffic.track import Track
 
 ALL = 96

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from companion.atmc.observation import conflict_weight, neighbour_rows, own_row
 from companion.atmc.senses import FEWEST_EXPECTED, FEWEST_SENDERS, SCAN_SHARE
-from companion.traffic.reception import HEARD_S, SHARE_MEMORY_S
+from companion.traffic.senders.reception import HEARD_S, SHARE_MEMORY_S
 from ground_tools.atmc.env.channel import Packets, TorchChannel
 from ground_tools.atmc.env.objective import Air, Objective, costs
 from ground_tools.atmc.env.world import World, WorldSettings, draw, move, redraw

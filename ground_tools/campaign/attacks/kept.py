@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 from functools import cache
 from pathlib import Path
 
 import msgspec
 
-import companion
 from companion.errors import ConfigError
 from ground_tools.campaign.attacks import flight
 from ground_tools.campaign.attacks.kinds import Attack
 from ground_tools.campaign.attacks.outcome import Row
 from ground_tools.campaign.attacks.scene import Cell
+from ground_tools.results import sources
 
 
 class Case(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -36,10 +35,8 @@ class Case(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 @cache
 def software() -> str:
-    """Digest of the source code of the companion and of this package, on which the flights depend."""
-    here = Path(__file__).parent
-    files = [*Path(companion.__file__).parent.rglob("*.py"), *here.glob("*.py")]
-    return hashlib.sha256(b"".join(file.read_bytes() for file in sorted(files))).hexdigest()[:12]
+    """Digest of the code on which the flights depend."""
+    return sources.digest(["ground_tools.campaign.attacks.flight"])
 
 
 def read(path: Path) -> Case:

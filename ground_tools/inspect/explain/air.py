@@ -2,9 +2,9 @@
 
 The legal minimum is that of the region in the record's header (`companion.broadcast.legal_floor`). It applies
 while a transport was meant to be on the air according to the log (`BroadcastChanged`). Losses are counted if
-frames carry a counter, with the rules of `companion.traffic.reception`. The latency of a message is its time
-of arrival minus its own timestamp, by UTC of the autopilot. The age of information is the one that the
-avoidance law used in its decisions.
+frames carry a counter, with the rules of `companion.traffic.senders.reception`. The latency of a message is
+its time of arrival minus its own timestamp, by UTC of the autopilot. The age of information is the one that
+the avoidance law used in its decisions.
 """
 
 from __future__ import annotations

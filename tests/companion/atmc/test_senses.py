@@ -14,7 +14,7 @@ from companion.config import TrafficConfig
 from companion.events import GlobalPosition, RemoteIdHeard, VehicleTime
 from companion.ownship import Ownship
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
-from companion.traffic.reception import HEARD_S, Reception
+from companion.traffic.senders.reception import HEARD_S, Reception
 from companion.traffic.tracks import Traffic
 from sitl_mocks.channel.equations.reception import meeting_chances
 from sitl_mocks.channel.parameters import WIFI_CHANNELS, load

@@ -27,7 +27,7 @@ from companion.events import GlobalPosition, RadioState, RemoteIdHeard, Transpor
 from companion.ownship import Ownship
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.remote_id.region import Region
-from companion.traffic.reception import Reception
+from companion.traffic.senders.reception import Reception
 from companion.traffic.tracks import Traffic
 from tests.companion.atmc.policies import policy_file
 from tests.support.place import HOME

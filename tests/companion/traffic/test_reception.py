@@ -8,7 +8,7 @@ import pytest
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard
 from companion.remote_id.messages import BasicId, IdType, Location, SelfId, UaType
-from companion.traffic.reception import HEARD_S, UNKNOWN_RATE, Reception
+from companion.traffic.senders.reception import HEARD_S, UNKNOWN_RATE, Reception
 from companion.traffic.tracks import Traffic
 from tests.support.place import HOME
 

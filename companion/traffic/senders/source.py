@@ -11,8 +11,8 @@ from collections import OrderedDict, deque
 from dataclasses import dataclass, field
 
 from companion.remote_id.messages import Message
-from companion.traffic.about import About
-from companion.traffic.reception import Reception
+from companion.traffic.senders.about import About
+from companion.traffic.senders.reception import Reception
 from companion.traffic.track import Track
 
 _REPORTED = 40

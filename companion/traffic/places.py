@@ -1,0 +1,83 @@
+"""Tracks as input of the law: where each is, and where else it may be.
+
+A track whose messages contradict one another is avoided at each of the places that they told (`Belief`). The
+name of such a place is that of the track with `ASIDE` and a number.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Collection, Mapping
+from operator import itemgetter
+from typing import Final
+
+import msgspec
+
+from companion.avoidance.law import ASIDE, SIGMAS, Neighbour
+from companion.traffic.fix import Belief
+from companion.traffic.right_of_way import rank_of, share_of
+from companion.traffic.track import Track
+
+_MOST_ASIDE: Final = 50
+"""Most places besides those of the tracks that the law is given."""
+_CROWD: Final = 5
+"""Tracks that sound alike are a group from this many on."""
+
+
+def neighbours_of(
+    tracks: Collection[Track],
+    groups: Mapping[str, int],
+    own_rank: int,
+    loss_s: Callable[[Belief], float],
+    now_s: float,
+) -> list[Neighbour]:
+    """Every track, in order, and then where else tracks were lately reported to be.
+
+    Args:
+        groups: number of tracks in each group.
+        own_rank: rank of this aircraft in the right of way.
+        loss_s: time until separation from a place would be lost.
+    """
+    present = [
+        Neighbour(
+            t.track_id,
+            t.position_ned_m,
+            t.velocity_ned_mps,
+            max(0.0, now_s - t.sample_s),
+            t.sigma_m + (t.wander.error_m + t.signal_reach_m) / SIGMAS,
+            t.sigma_mps,
+            t.past.growth_mps,
+            now_s - t.received_s > t.silent_after_s,
+            share_of(own_rank, _rank(t)),
+            t.vertical_known,
+            proven=t.proven,
+            group=t.group if groups[t.group] >= _CROWD else "",
+        )
+        for t in tracks
+    ]
+    aside = [
+        (loss_s(belief), f"{other.track_id}{ASIDE}{number}", other, belief)
+        for other, track in zip(present, tracks, strict=True)
+        for number, belief in enumerate(track.aside, 1)
+        if now_s - belief.agreed_s <= track.silent_after_s
+    ]
+    if len(aside) > _MOST_ASIDE:
+        aside = heapq.nsmallest(_MOST_ASIDE, aside, key=itemgetter(0, 1))
+    return present + [
+        msgspec.structs.replace(
+            other,
+            track_id=name,
+            position_ned_m=belief.position,
+            velocity_ned_mps=belief.velocity,
+            age_s=max(0.0, now_s - belief.at_s),
+            sigma_m=belief.sigma_m,
+            sigma_mps=belief.sigma_mps,
+            vertical_known=belief.vertical_known,
+        )
+        for _, name, other, belief in aside
+    ]
+
+
+def _rank(track: Track) -> int:
+    told = track.about.basic_id
+    return rank_of(None if told is None else told.ua_type, track.content.status)
