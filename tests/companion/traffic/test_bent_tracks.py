@@ -138,3 +138,12 @@ def test_a_sound_sender_is_believed_to_be_in_one_place():
         listener = Listener()
         hear(listener, straight(), seconds(round(60 * rate_hz), rate_hz=rate_hz))
         assert len(listener.traffic.neighbours(70.0)) == 1
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 4.0])
+def test_a_fast_sender_stays_one_track_in_one_place(rate_hz):
+    """Its earlier state is up to 1.75 s old: 175 m of way."""
+    listener = Listener()
+    for at_s in seconds(round(20 * rate_hz), rate_hz=rate_hz):
+        hear(listener, straight(100.0), [at_s])
+        assert [n.track_id for n in listener.traffic.neighbours(at_s + 0.3)] == ["X"]
