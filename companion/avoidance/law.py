@@ -66,8 +66,9 @@ _LEAST_TURN_S = 0.01
 _by_id = attrgetter("track_id")
 
 
-ASIDE = "~"
-"""In a `Neighbour.track_id`, before the number of another place where the same track may be."""
+ASIDE = "\N{PRIME}"
+"""In a `Neighbour.track_id`, before the number of another place where the same track may be. No id of a track
+contains it: Remote ID's are Latin-1."""
 
 
 class Neighbour(msgspec.Struct, frozen=True, gc=False):

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.arrays import Floats
-from companion.avoidance.law import Law, LawResult, Situation
+from companion.avoidance.law import ASIDE, Law, LawResult, Situation
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard
 from companion.geometry import LocalFrame, Vec3
@@ -78,7 +78,7 @@ def fly(
                     outcome.count_decision(tally, now, i, decided.feasible, decided.conflict)
                     for track in decided.tracks if decided.conflict else ():
                         if track.conflict:
-                            j = air.sender(core.traffic.tracks[track.track_id].content)
+                            j = air.sender(core.traffic.tracks[track.track_id.partition(ASIDE)[0]].content)
                             pairs[max(i, j), min(i, j), outcome.P_ALERT] = 1.0
         vehicles.move(rng, world, craft)
         outcome.measure(

@@ -11,7 +11,7 @@ from typing import Any
 
 from companion.authority.table import State
 from companion.avoidance.alerts import Level
-from companion.avoidance.law import Neighbour
+from companion.avoidance.law import ASIDE, Neighbour
 from companion.core import Companion
 from companion.events import Decision
 from companion.geometry import Vec3
@@ -75,7 +75,7 @@ def _track(
 ) -> TrackStatus:
     key = (other.adsb, other.track_id)
     p, v, age = other.position_ned_m, other.velocity_ned_mps, other.age_s
-    transport, doubts = ("adsb", ()) if other.adsb else names[other.track_id]
+    transport, doubts = ("adsb", ()) if other.adsb else names[other.track_id.partition(ASIDE)[0]]
     return TrackStatus(
         track_id=other.track_id,
         transport=transport,

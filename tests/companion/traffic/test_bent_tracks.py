@@ -8,6 +8,7 @@ import random
 
 import pytest
 
+from companion.avoidance.law import ASIDE
 from companion.geometry import Vec3
 from companion.traffic.track import _BELIEFS
 from tests.companion.traffic.attacked import ADDRESS, NAME, STEP_S, Attack, Sky, fly
@@ -82,7 +83,7 @@ def test_what_a_message_said_is_believed_until_its_sender_is_silent():
     listener.hear(19.4, basic(), told)
     (track,) = listener.traffic.tracks.values()
     names = [n.track_id for n in listener.traffic.neighbours(19.5)]
-    assert names == ["X", "X~1"]
+    assert names == ["X", f"X{ASIDE}1"]
     # A gap of a second: silent after 3.5 s.
     assert len(listener.traffic.neighbours(19.2 + track.silent_after_s)) == 2
     assert len(listener.traffic.neighbours(19.5 + track.silent_after_s)) == 1
@@ -137,3 +138,12 @@ def test_a_sound_sender_is_believed_to_be_in_one_place():
         listener = Listener()
         hear(listener, straight(), seconds(round(60 * rate_hz), rate_hz=rate_hz))
         assert len(listener.traffic.neighbours(70.0)) == 1
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 4.0])
+def test_a_fast_sender_stays_one_track_in_one_place(rate_hz):
+    """Its earlier state is up to 1.75 s old: 175 m of way."""
+    listener = Listener()
+    for at_s in seconds(round(20 * rate_hz), rate_hz=rate_hz):
+        hear(listener, straight(100.0), [at_s])
+        assert [n.track_id for n in listener.traffic.neighbours(at_s + 0.3)] == ["X"]

@@ -7,11 +7,12 @@ import math
 import pytest
 
 from companion.avoidance.kernels import GROWTH_MOST_MPS
+from companion.avoidance.law import ASIDE
 from tests.companion.traffic.flights import Listener, circle, fly, location, seconds, straight
 
 
 def neighbour(listener, now_s=60.0):
-    (one,) = [n for n in listener.traffic.neighbours(now_s) if "~" not in n.track_id]
+    (one,) = [n for n in listener.traffic.neighbours(now_s) if ASIDE not in n.track_id]
     return one
 
 

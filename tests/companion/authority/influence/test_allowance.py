@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from companion.authority.influence.allowance import Allowances
-from companion.avoidance.law import LawResult, Neighbour
+from companion.avoidance.law import ASIDE, LawResult, Neighbour
 from companion.config import Config, ContainmentConfig, IdentityConfig
 from companion.events import AllowanceSpent, Say, TrackView
 
@@ -208,9 +208,18 @@ def test_what_is_remembered_is_bounded():
 def test_another_place_of_a_track_has_no_allowance_of_its_own():
     """The aircraft may be there too: both are charged as one, and both are left out together."""
     sky = Sky()
-    assert sky.run(39.0, other("A"), other("A~1", at=(0.0, 60.0, 0.0))) == ["A", "A~1"]
-    assert not sky.run(2.0, other("A", at=(60.0, 0.0, 0.0)), other("A~1", at=(0.0, 60.0, 0.0)))
+    assert sky.run(39.0, other("A"), other(f"A{ASIDE}1", at=(0.0, 60.0, 0.0))) == ["A", f"A{ASIDE}1"]
+    assert not sky.run(2.0, other("A", at=(60.0, 0.0, 0.0)), other(f"A{ASIDE}1", at=(0.0, 60.0, 0.0)))
     assert sky.scopes() == [("track", True)]
+
+
+def test_no_name_of_a_sender_is_taken_for_another_place():
+    """Whatever it is called, it is charged as itself, and it does not stand while it moves."""
+    sky = Sky()
+    assert sky.run(39.0, other("A~1"), other("A")) == ["A~1", "A"]
+    assert sky.scopes() == []
+    sky.run(2.0, other("A~1"))
+    assert [c.track_id for c in sky.told if isinstance(c, AllowanceSpent)] == ["A~1"]
 
 
 def test_another_place_of_a_reserved_track_is_avoided_to_the_end():
@@ -218,7 +227,7 @@ def test_another_place_of_a_reserved_track_is_avoided_to_the_end():
     sky.run(70.0, other("B"))
     sky.run(2.0, other("A"))
     sky.run(6.0, other("B"))
-    assert sky.run(5.0, other("A"), other("A~1", at=(0.0, 60.0, 0.0))) == ["A", "A~1"]
+    assert sky.run(5.0, other("A"), other(f"A{ASIDE}1", at=(0.0, 60.0, 0.0))) == ["A", f"A{ASIDE}1"]
     assert sky.run(1.0, other("C")) == []
 
 

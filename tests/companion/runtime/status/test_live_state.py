@@ -8,12 +8,16 @@ import threading
 import time
 
 import msgspec
+import numpy as np
 import pytest
 
+from companion.avoidance.law import ASIDE
 from companion.commands import status
 from companion.config import VehicleConfig
 from companion.errors import ConfigError
 from companion.runtime.flight import Flight
+from companion.runtime.status import live_state
+from tests.companion.core.herding import heard
 from tests.companion.runtime.flying import (
     LONG_S,
     configured,
@@ -126,3 +130,16 @@ def test_a_second_companion_of_the_name_flies_without_a_socket(
     assert heard_of(said, "another companion of this name", before)()
     assert flight._server.path.exists(), "the first one's"
     flight._close()
+
+
+def test_another_place_of_a_track_is_shown_with_what_is_known_of_the_track(make_bench):
+    """Two messages of one name and address that contradict each other."""
+    bench = make_bench(use="watch")
+    bench.step(20)
+    for north_m in (300.0, 300.0, 318.0):
+        place = np.array([north_m, 0.0, -50.0])
+        bench.extra.append(heard(bench, "X", place, np.zeros(3)))
+        bench.step(10)
+    shown = live_state._tracks(bench.core, bench.now_s, None)
+    assert [track.track_id for track in shown] == ["X", f"X{ASIDE}1"]
+    assert {track.transport for track in shown} == {"wifi"}
