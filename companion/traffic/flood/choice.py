@@ -32,7 +32,7 @@ from companion.traffic.senders.source import Source
 from companion.traffic.track import Track
 
 ALL = 96
-KNOWN, STRANGE, NAMELESS = 96, 48, 16
+KNOWN, STRANGE, NAMELESS = 96, 32, 16
 OF_ADDRESS = 8
 """An honest sender sends at most one frame in 20 ms, and one Location in 50 ms."""
 _M_PER_DEG = 111_194.9
