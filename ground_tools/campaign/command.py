@@ -111,6 +111,11 @@ def _add_run(command: argparse.ArgumentParser) -> None:
                          help=f"kind of intruder: {', '.join(_INTRUDERS)} (default: blind)")  # fmt: skip
     command.add_argument("--world", choices=campaign.WORLDS, default="calm", metavar="NAME",
                          help=f"conditions: {', '.join(campaign.WORLDS)} (default: calm)")  # fmt: skip
+    command.add_argument("--rate", type=int, default=1, metavar="N",
+                         help="messages of each aircraft in a second, 1 to 20 (default: 1)")  # fmt: skip
+    command.add_argument(
+        "--signal", action="store_true", help="let aircraft weigh the signal strength of messages"
+    )
     command.add_argument(
         "--no-reserve", action="store_true", help="limit every aircraft to its planned speed"
     )
@@ -359,6 +364,7 @@ def _cell(args: argparse.Namespace) -> Cell:
         ("speed", args.speed, 1.0, 50.0),
         ("loss", args.loss, 0.0, 1.0),
         ("intruders", args.intruders, 0.0, 1.0),
+        ("rate", args.rate, 1, 20),
     ):
         if not least <= value <= most:
             raise ConfigError(f"--{key}: {value:g} is out of range; allowed: {least:g} to {most:g}")
@@ -377,6 +383,8 @@ def _cell(args: argparse.Namespace) -> Cell:
         intruder=args.intruder,
         world=args.world,
         reserve=not args.no_reserve,
+        rate=args.rate,
+        signal=args.signal,
     )
 
 

@@ -1,0 +1,153 @@
+"""What the received powers of a sender say of the positions that it reports.
+
+Received power falls with distance, here by 20 dB for each factor of ten, as in free space. The sender's power
+and antenna and the shadowing of a link are unknown but nearly constant: they shift all messages of one radio
+address alike. Therefore the *change* of the power over an encounter tells whether the reported positions can
+be true. Hypotheses are weighed by Bayes' rule:
+
+- the reported positions are true;
+- the true position is beside the reported one by a constant horizontal offset (a grid of up to 100 m);
+- the power does not depend on the reported position at all, as for one transmitter that invents aircraft.
+
+For each hypothesis a Kalman filter with one state estimates the shift of each radio address. Arrays have an
+entry for each hypothesis, in this order: the truth, the offsets of `OFFSETS`, no dependence.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from companion.arrays import Floats
+from companion.avoidance.kernels.compiled import compiled
+
+_RADII_M: Final = tuple(12.5 * step for step in range(1, 9))
+_DIRECTIONS: Final = 24
+_MESSAGE_DB: Final = 6.0
+"""Standard deviation of one message's power: fading, antenna patterns and attitude."""
+_LINK_DB: Final = math.hypot(4.0, 6.0)
+"""Standard deviation of what is constant for a link: the sender's power (4 dB) and shadowing (6 dB)."""
+_DRIFT_DB2_PER_S: Final = 0.02
+"""Growth of the variance of the link's shift (1.1 dB in a minute): power and shadowing are not quite
+constant. Ten times as much would hide most offsets of 50 m until they are near."""
+_SLOPE_DB: Final = 20.0
+_LEAST_M: Final = 2.0
+"""Distances below this count as this: antennas are not points."""
+_BESIDE: Final = math.log(20.0)
+"""Log likelihood ratio from which the place that the powers point to is avoided as well."""
+_SPREAD: Final = 0.25
+"""Share of the spread of that place that counts as its error for each axis."""
+
+
+def _grid() -> Floats:
+    angles = 2.0 * math.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    ring = np.column_stack([np.cos(angles), np.sin(angles)])
+    return np.concatenate([np.zeros((1, 2)), *(radius * ring for radius in _RADII_M)])
+
+
+OFFSETS: Final = _grid()
+"""Horizontal offsets (m) of the true position from the reported one; the first one is none. Shape
+(offsets, 2)."""
+_PLACES: Final = len(OFFSETS)
+HYPOTHESES: Final = _PLACES + 1
+
+
+@compiled
+def note_power(
+    log: Floats,
+    mean: Floats,
+    variance: float,
+    passed_s: float,
+    rssi_dbm: float,
+    north: float,
+    east: float,
+    down: float,
+) -> float:
+    """Take in the power of one message of one radio address.
+
+    Args:
+        log: log likelihood of each hypothesis, relative to that of the truth; written.
+        mean: estimate of the address's shift (dB) by each hypothesis; written.
+        variance: its variance (dB^2), the same for all; infinity before the first message.
+        passed_s: time since the address's previous message.
+        rssi_dbm: received power.
+        north, east, down: reported position at the time of reception, relative to ours, m.
+
+    Returns:
+        The new variance.
+    """
+    noise = _MESSAGE_DB * _MESSAGE_DB
+    first = variance == math.inf
+    variance = min(variance + _DRIFT_DB2_PER_S * max(passed_s, 0.0), _LINK_DB * _LINK_DB + noise)
+    gain, precision = variance / (variance + noise), 0.5 / (variance + noise)
+    least, down2 = _LEAST_M * _LEAST_M, down * down
+    truth = 0.0
+    for i in range(HYPOTHESES):
+        shift = rssi_dbm
+        if i < _PLACES:
+            n, e = north + OFFSETS[i, 0], east + OFFSETS[i, 1]
+            shift += 0.5 * _SLOPE_DB * math.log10(max(n * n + e * e + down2, least))
+        if first:
+            # The absolute power is not judged: nothing is known of the sender's power.
+            mean[i] = shift
+            continue
+        residual = shift - mean[i]
+        mean[i] += gain * residual
+        likelihood = log[i] - precision * residual * residual
+        if i == 0:
+            truth = likelihood
+        log[i] = likelihood - truth
+    return noise if first else (1.0 - gain) * variance
+
+
+@compiled
+def suspicion(log: Floats) -> tuple[float, float, float, float, float]:
+    """What the powers say together.
+
+    Args:
+        log: log likelihood of each hypothesis, relative to that of the truth.
+
+    Returns:
+        Log likelihood ratio of all alternatives against the truth; that of the offsets alone; the mean of the
+        offsets, north and east (m); and the root of their mean squared distance from it (m).
+    """
+    most = log[1]
+    for i in range(2, _PLACES):
+        most = max(most, log[i])
+    total = north = east = square = 0.0
+    for i in range(1, _PLACES):
+        weight = math.exp(log[i] - most)
+        n, e = OFFSETS[i, 0], OFFSETS[i, 1]
+        total += weight
+        north += weight * n
+        east += weight * e
+        square += weight * (n * n + e * e)
+    north, east = north / total, east / total
+    spread = math.sqrt(max(square / total - north * north - east * east, 0.0))
+    beside = most + math.log(total / (_PLACES - 1))
+    high = max(beside, log[_PLACES])
+    ratio = high + math.log(0.5 * math.exp(beside - high) + 0.5 * math.exp(log[_PLACES] - high))
+    return ratio, beside, north, east, spread
+
+
+@compiled
+def is_beside(ratio: float) -> bool:
+    """Whether a sender is also avoided at the place that its powers point to.
+
+    Args:
+        ratio: log likelihood ratio of the offsets, from `suspicion`.
+    """
+    return ratio > _BESIDE
+
+
+@compiled
+def beside_sigma_m(sigma_m: float, spread_m: float) -> float:
+    """Error of that place for each axis, m.
+
+    Args:
+        sigma_m: declared error of the position.
+        spread_m: from `suspicion`.
+    """
+    return math.sqrt(sigma_m * sigma_m + _SPREAD * _SPREAD * spread_m * spread_m)
