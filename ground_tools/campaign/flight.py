@@ -19,12 +19,12 @@ from companion.traffic.right_of_way import FREE, share_of
 from ground_tools.campaign.compiled import compiled
 from ground_tools.campaign.outcome import P_ALERT, Tally, count_decision, land, measure, nothing_yet
 from ground_tools.campaign.powers import (
+    S_BESIDE,
     S_EAST,
     S_NORTH,
-    S_BESIDE,
     S_SPREAD,
     Powers,
-    measure_power,
+    measure_powers,
     unmeasured,
 )
 from ground_tools.campaign.vehicles import (
@@ -237,15 +237,14 @@ def _fly(
                 slot = send(rng, world, tick, i, kinds, craft)
                 for c in range(MESSAGE_COLUMNS):
                     mind.heard[i, i, c] = craft.sent[i, slot, c]
-        if world.signal != 0.0 and tick % every != 0:
-            for i in range(len(kinds)):
-                _receive(power_rng, world, now, i, kinds, craft, mind, powers)
+        if world.signal != 0.0:
+            measure_powers(power_rng, world, tick, kinds, craft, mind.heard, powers)
         if tick % every == 0:
             for i in range(len(kinds)):
                 if i == dark and unfit:
                     craft.command[i, 0] = craft.command[i, 1] = craft.command[i, 2] = 0.0
                     continue
-                _receive(power_rng, world, now, i, kinds, craft, mind, powers)
+                _receive(now, world.declared_m, i, craft, mind)
                 count = _look(world, now, i, kinds, craft, mind, powers)
                 own, law = _own(world, now, i, craft), k.settings_at(settings, i)
                 decision = k.decide(
@@ -336,15 +335,8 @@ def _command(
 
 
 @_inlined
-def _receive(
-    rng: np.random.Generator, world: Conditions, now: float, i: int, kinds: Floats, craft: Fleet, mind: Mind,
-    powers: Powers,
-) -> None:  # fmt: skip
-    """Take the messages that aircraft i has received into its memory, and measure their power.
-
-    Args:
-        rng: source of the shadowing.
-    """
+def _receive(now: float, declared: float, i: int, craft: Fleet, mind: Mind) -> None:
+    """Take the messages that aircraft i has received into its memory."""
     arrival, sent, heard = craft.arrival, craft.sent, mind.heard
     for j in range(arrival.shape[1]):
         for slot in range(arrival.shape[2]):
@@ -361,11 +353,9 @@ def _receive(
                         m[M_TIME],
                         (p[0], p[1], p[2]),
                         (v[0], v[1], v[2]),
-                        world.declared_m,
+                        declared,
                     )
                     k.put_past(mind.pasts[i], j, past)
-                if world.signal != 0.0 and kinds[j] != CREWED and kinds[j] != BAROMETRIC:
-                    measure_power(rng, world, now, i, j, craft, heard[i, j], powers)
 
 
 @_inlined

@@ -16,7 +16,15 @@ from companion.arrays import Floats
 from companion.avoidance import kernels as k
 from companion.traffic.signal_strength import EVERY_S, FARTHEST_M, MISMATCH
 from ground_tools.campaign.compiled import compiled
-from ground_tools.campaign.vehicles import M_POSITION, M_TIME, M_VELOCITY, Fleet
+from ground_tools.campaign.vehicles import (
+    AVOIDS,
+    BAROMETRIC,
+    CREWED,
+    M_POSITION,
+    M_TIME,
+    M_VELOCITY,
+    Fleet,
+)
 from ground_tools.campaign.world import Conditions
 from sitl_mocks.channel.parameters import ChannelParameters
 
@@ -27,6 +35,7 @@ _NEAREST_M: Final = 0.1
 # The result of `kernels.suspicion` for a sender, and whether its ratio was ever so high that it is flagged.
 S_RATIO, S_BESIDE, S_NORTH, S_EAST, S_SPREAD, S_FLAGGED, SUSPICION_COLUMNS = range(7)
 
+_compiled = compiled()
 _inlined = compiled(inline="always")
 
 
@@ -64,7 +73,7 @@ def unmeasured(rng: np.random.Generator, world: Conditions, fleet: int) -> Power
 
 
 @_inlined
-def measure_power(
+def _measure_power(
     rng: np.random.Generator, world: Conditions, now: float, i: int, j: int, craft: Fleet, message: Floats,
     powers: Powers,
 ) -> None:  # fmt: skip
@@ -96,3 +105,26 @@ def measure_power(
         found[S_NORTH], found[S_EAST], found[S_SPREAD] = there_n, there_e, spread
         if ratio > MISMATCH:
             found[S_FLAGGED] = 1.0
+
+
+@_compiled
+def measure_powers(
+    rng: np.random.Generator, world: Conditions, tick: int, kinds: Floats, craft: Fleet, heard: Floats,
+    powers: Powers,
+) -> None:  # fmt: skip
+    """Measure and weigh the powers of all messages that arrive in this step at aircraft that avoid.
+
+    Args:
+        rng: source of the shadowing of messages.
+        heard: shape (receiver, sender, MESSAGE_COLUMNS): latest message that each receiver knows. Before the
+            first one nothing is weighed.
+    """
+    now, before = world.start_s + tick * world.step_s, world.start_s + (tick - 1) * world.step_s
+    arrival = craft.arrival
+    for i in range(len(kinds)):
+        for j in range(len(kinds)):
+            if kinds[i] != AVOIDS or kinds[j] == CREWED or kinds[j] == BAROMETRIC:
+                continue
+            for slot in range(arrival.shape[2]):
+                if before < arrival[i, j, slot] <= now and heard[i, j, M_TIME] > -math.inf:
+                    _measure_power(rng, world, now, i, j, craft, heard[i, j], powers)

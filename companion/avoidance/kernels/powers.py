@@ -6,7 +6,7 @@ address alike. Therefore the *change* of the power over an encounter tells wheth
 be true. Hypotheses are weighed by Bayes' rule:
 
 - the reported positions are true;
-- the true position is beside the reported one by a constant horizontal offset (a grid of up to 100 m);
+- the true position is beside the reported one by a constant horizontal offset (a lattice of up to 100 m);
 - the power does not depend on the reported position at all, as for one transmitter that invents aircraft.
 
 For each hypothesis a Kalman filter with one state estimates the shift of each radio address. Arrays have an
@@ -23,8 +23,8 @@ import numpy as np
 from companion.arrays import Floats
 from companion.avoidance.kernels.compiled import compiled
 
-_RADII_M: Final = tuple(12.5 * step for step in range(1, 9))
-_DIRECTIONS: Final = 24
+_RINGS: Final = 6
+_FARTHEST_M: Final = 100.0
 _MESSAGE_DB: Final = 6.0
 """Standard deviation of one message's power: fading, antenna patterns and attitude."""
 _LINK_DB: Final = math.hypot(4.0, 6.0)
@@ -32,7 +32,7 @@ _LINK_DB: Final = math.hypot(4.0, 6.0)
 _DRIFT_DB2_PER_S: Final = 0.02
 """Growth of the variance of the link's shift (1.1 dB in a minute): power and shadowing are not quite
 constant. Ten times as much would hide most offsets of 50 m until they are near."""
-_SLOPE_DB: Final = 20.0
+_SLOPE_DB: Final = 20.0 / math.log(10.0)
 _LEAST_M: Final = 2.0
 """Distances below this count as this: antennas are not points."""
 _BESIDE: Final = math.log(20.0)
@@ -42,9 +42,10 @@ _SPREAD: Final = 0.25
 
 
 def _grid() -> Floats:
-    angles = 2.0 * math.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
-    ring = np.column_stack([np.cos(angles), np.sin(angles)])
-    return np.concatenate([np.zeros((1, 2)), *(radius * ring for radius in _RADII_M)])
+    """A lattice of equal triangles within a hexagon, its centre first."""
+    steps = range(-_RINGS, _RINGS + 1)
+    found = [(i + 0.5 * j, math.sqrt(0.75) * j) for i in steps for j in steps if abs(i + j) <= _RINGS]
+    return _FARTHEST_M / _RINGS * np.array(sorted(found, key=lambda p: math.hypot(*p)))
 
 
 OFFSETS: Final = _grid()
@@ -88,7 +89,7 @@ def note_power(
         shift = rssi_dbm
         if i < _PLACES:
             n, e = north + OFFSETS[i, 0], east + OFFSETS[i, 1]
-            shift += 0.5 * _SLOPE_DB * math.log10(max(n * n + e * e + down2, least))
+            shift += 0.5 * _SLOPE_DB * math.log(max(n * n + e * e + down2, least))
         if first:
             # The absolute power is not judged: nothing is known of the sender's power.
             mean[i] = shift
