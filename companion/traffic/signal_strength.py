@@ -43,8 +43,6 @@ class Suspicion(NamedTuple):
     north_m: float = 0.0
     """Where it then is, relative to its reported position."""
     east_m: float = 0.0
-    spread_m: float = 0.0
-    """Root of the mean squared distance from there."""
 
 
 NOT_SUSPECTED: Final = Suspicion()
@@ -52,10 +50,10 @@ NOT_SUSPECTED: Final = Suspicion()
 
 @dataclass(slots=True)
 class _Shift:
-    """Estimate of the constant shift of one radio address (dB), for each hypothesis."""
+    """Estimate of the shift of one radio address; the arguments of `kernels.note_power`."""
 
-    mean: Floats
-    variance: float
+    means: Floats
+    covariance: Floats
     at_s: float
 
 
@@ -86,11 +84,13 @@ class SignalWitness:
         if shift is None:
             if len(self._shifts) >= _ADDRESSES:
                 self._shifts.popitem(last=False)
-            shift = self._shifts[key] = _Shift(np.zeros(kernels.HYPOTHESES), math.inf, now_s)
+            shift = self._shifts[key] = _Shift(
+                np.zeros((2, kernels.HYPOTHESES)), np.array([math.inf, 0.0, 0.0]), now_s
+            )
         elif now_s - shift.at_s < EVERY_S:
             return False
-        shift.variance = kernels.note_power(
-            self._log, shift.mean, shift.variance, now_s - shift.at_s, rssi_dbm, north, east, down
+        kernels.note_power(
+            self._log, shift.means, shift.covariance, now_s - shift.at_s, rssi_dbm, north, east, down
         )
         shift.at_s = now_s
         self.suspicion = Suspicion._make(kernels.suspicion(self._log))

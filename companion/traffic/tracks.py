@@ -421,6 +421,5 @@ def _beside(there: Neighbour, suspicion: Suspicion) -> Neighbour:
         there,
         track_id=there.track_id + BESIDE_NAME,
         position_ned_m=(north + suspicion.north_m, east + suspicion.east_m, down),
-        sigma_m=kernels.beside_sigma_m(there.sigma_m, suspicion.spread_m),
         proven=False,
     )

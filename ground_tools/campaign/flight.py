@@ -22,7 +22,6 @@ from ground_tools.campaign.powers import (
     S_BESIDE,
     S_EAST,
     S_NORTH,
-    S_SPREAD,
     Powers,
     measure_powers,
     unmeasured,
@@ -394,7 +393,6 @@ def _look(
             k.put_other(mind.neighbours, count, known)
             row = mind.neighbours[count]
             row[0], row[1] = known.n + said[S_NORTH], known.e + said[S_EAST]
-            row[7] = k.beside_sigma_m(known.sigma_m, said[S_SPREAD])
             mind.senders[count] = j
             count += 1
     return count

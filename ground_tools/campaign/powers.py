@@ -33,7 +33,7 @@ _AT_1M_DBM: Final = _CHANNEL.wifi.transmit_power_dbm - _CHANNEL.propagation.loss
 _SLOPE_DB: Final = 10.0 * _CHANNEL.propagation.exponent
 _NEAREST_M: Final = 0.1
 # The result of `kernels.suspicion` for a sender, and whether its ratio was ever so high that it is flagged.
-S_RATIO, S_BESIDE, S_NORTH, S_EAST, S_SPREAD, S_FLAGGED, SUSPICION_COLUMNS = range(7)
+S_RATIO, S_BESIDE, S_NORTH, S_EAST, S_FLAGGED, SUSPICION_COLUMNS = range(6)
 
 _compiled = compiled()
 _inlined = compiled(inline="always")
@@ -47,10 +47,10 @@ class Powers(NamedTuple):
     """(A, A): power of a sender and shadowing of the link, relative to their means."""
     log: Floats
     """(A, A, HYPOTHESES): see `kernels.note_power`; likewise the next two."""
-    mean: Floats
-    """(A, A, HYPOTHESES)."""
-    variance: Floats
-    """(A, A)."""
+    means: Floats
+    """(A, A, 2, HYPOTHESES)."""
+    covariance: Floats
+    """(A, A, 3)."""
     noted_s: Floats
     """(A, A): time of the latest power that was used."""
     suspicion: Floats
@@ -65,8 +65,8 @@ def unmeasured(rng: np.random.Generator, world: Conditions, fleet: int) -> Power
     return Powers(
         link_db=sender_db[None, :] + link_db,
         log=np.zeros((size, size, k.HYPOTHESES)),
-        mean=np.zeros((size, size, k.HYPOTHESES)),
-        variance=np.full((size, size), math.inf),
+        means=np.zeros((size, size, 2, k.HYPOTHESES)),
+        covariance=np.tile([math.inf, 0.0, 0.0], (size, size, 1)),
         noted_s=np.full((size, size), -math.inf),
         suspicion=np.zeros((size, size, SUSPICION_COLUMNS)),
     )
@@ -93,16 +93,15 @@ def _measure_power(
     reported = math.sqrt(north * north + east * east + down * down)
     passed = now - powers.noted_s[i, j]
     if reported <= FARTHEST_M and passed >= EVERY_S:
-        before = powers.variance[i, j]
-        powers.variance[i, j] = k.note_power(
-            powers.log[i, j], powers.mean[i, j], before, passed if before < math.inf else 0.0, float(rssi),
+        k.note_power(
+            powers.log[i, j], powers.means[i, j], powers.covariance[i, j], min(passed, 1e9), float(rssi),
             north, east, down,
         )  # fmt: skip
         powers.noted_s[i, j] = now
         found = powers.suspicion[i, j]
-        ratio, beside, there_n, there_e, spread = k.suspicion(powers.log[i, j])
+        ratio, beside, there_n, there_e = k.suspicion(powers.log[i, j])
         found[S_RATIO], found[S_BESIDE] = ratio, beside
-        found[S_NORTH], found[S_EAST], found[S_SPREAD] = there_n, there_e, spread
+        found[S_NORTH], found[S_EAST] = there_n, there_e
         if ratio > MISMATCH:
             found[S_FLAGGED] = 1.0
 

@@ -56,7 +56,6 @@ from companion.avoidance.kernels.neighbours import (
 from companion.avoidance.kernels.powers import (
     HYPOTHESES,
     OFFSETS,
-    beside_sigma_m,
     is_beside,
     note_power,
     suspicion,
@@ -157,7 +156,6 @@ __all__ = [
     "Workspace",
     "after_area",
     "all_within",
-    "beside_sigma_m",
     "closest",
     "closing",
     "crosses",
