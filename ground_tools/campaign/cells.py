@@ -395,6 +395,15 @@ def collided(rows: Sequence[Row]) -> int:
     return sum(row.separation_m < outcome.COLLISION_M for row in rows)
 
 
+def flagged(cell: Cell, rows: Sequence[Row]) -> dict[str, int]:
+    """Number of pairs of receiver and sender in which the signal strength contradicted the positions: for
+    senders that are intruders, and for others."""
+    intruders = round(cell.intruders * cell.aircraft)
+    senders = [sender for row in rows for _, sender in row.flagged]
+    of_intruders = sum(sender < intruders for sender in senders)
+    return {"flagged_intruders": of_intruders, "flagged_others": len(senders) - of_intruders}
+
+
 def median(values: Sequence[float]) -> float:
     """The median, NaN if there are no values."""
     return float(np.median(values)) if values else math.nan

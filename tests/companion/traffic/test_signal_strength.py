@@ -67,17 +67,23 @@ def test_at_most_one_honest_encounter_in_a_hundred_is_suspected() -> None:
 
 
 def test_honest_senders_are_not_avoided_elsewhere() -> None:
-    assert share(200, 12, is_beside, until_s=-4.0) <= 0.04
+    assert share(200, 12, is_beside, until_s=-4.0) <= 0.02
 
 
 @pytest.mark.parametrize(
-    ("rate", "until_s", "least"), [(5.0, -8.0, 0.4), (5.0, -5.0, 0.7), (5.0, -3.0, 0.9), (10.0, -8.0, 0.6)]
+    ("rate", "until_s", "least"),
+    [(5.0, -5.0, 0.18), (5.0, -2.0, 0.7), (10.0, -5.0, 0.28), (10.0, -2.0, 0.85)],
 )
 def test_a_sender_50_m_beside_its_position_is_found_before_it_passes(
     rate: float, until_s: float, least: float
 ) -> None:
     """More messages find more."""
     assert share(150, 13, is_beside, offset_m=50.0, rate=rate, until_s=until_s) >= least
+
+
+def test_shadowing_that_wanders_a_little_is_not_suspected() -> None:
+    """2 dB, as the filter assumes; 1 % of the encounters at most, and 5 of 150 allow for chance."""
+    assert share(150, 19, lambda found: found.log_ratio > MISMATCH, until_s=5.0, wander_db=2.0) <= 5 / 150
 
 
 def test_its_true_place_is_found() -> None:
@@ -138,7 +144,6 @@ def test_hostile_numbers_leave_finite_results() -> None:
         found = witness.suspicion
         assert all(map(math.isfinite, found))
         assert math.hypot(found.north_m, found.east_m) <= 100.0
-        assert 0.0 <= found.spread_m <= 100.0
 
 
 def test_messages_from_afar_and_too_many_messages_are_not_used() -> None:
