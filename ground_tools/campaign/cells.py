@@ -270,8 +270,8 @@ def _row(seed: int, result: Floats, pairs: Floats, flagged: list[list[int]]) -> 
         if math.isinf(result[entry]):
             values[entry] = None
     lost, alerts = pairs[:, outcome.P_SEPARATION] < SEPARATION_M, pairs[:, outcome.P_ALERT] != 0.0
-    lost_and_alerts = [tuple(np.flatnonzero(which).tolist()) for which in (lost, alerts)]
-    return Row(seed, *values, *lost_and_alerts, tuple((receiver, sender) for receiver, sender in flagged))
+    values += [tuple(np.flatnonzero(which).tolist()) for which in (lost, alerts)]
+    return Row(seed, *values, flagged=tuple((receiver, sender) for receiver, sender in flagged))
 
 
 def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
