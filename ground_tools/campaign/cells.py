@@ -153,7 +153,7 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     and so on."""
     alerts: tuple[int, ...]
     """Pairs in which an avoiding aircraft was in conflict with the other one, by pair number."""
-    flagged: tuple[tuple[int, int], ...]
+    flagged: tuple[tuple[int, int], ...] = ()
     """Receiver and sender, where the signal strength contradicted the positions."""
 
     @property
