@@ -271,7 +271,8 @@ def _row(seed: int, result: Floats, pairs: Floats, flagged: list[list[int]]) -> 
             values[entry] = None
     lost, alerts = pairs[:, outcome.P_SEPARATION] < SEPARATION_M, pairs[:, outcome.P_ALERT] != 0.0
     values += [tuple(np.flatnonzero(which).tolist()) for which in (lost, alerts)]
-    return Row(seed, *values, flagged=tuple((receiver, sender) for receiver, sender in flagged))
+    values.append(tuple((receiver, sender) for receiver, sender in flagged))
+    return Row(seed, *values)
 
 
 def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
