@@ -1,7 +1,8 @@
 """Tracks as input of the law: where each is, and where else it may be.
 
 A track whose messages contradict one another is avoided at each of the places that they told (`Belief`). The
-name of such a place is that of the track with `ASIDE` and a number.
+name of such a place is that of the track with `ASIDE` and a number. A track whose signal strength contradicts
+its position is avoided also at the place that it points to; its name is that of the track and `SIGNAL_PLACE`.
 """
 
 from __future__ import annotations
@@ -13,11 +14,15 @@ from typing import Final
 
 import msgspec
 
+from companion.avoidance import kernels
 from companion.avoidance.law import ASIDE, SIGMAS, Neighbour
 from companion.traffic.fix import Belief
 from companion.traffic.right_of_way import rank_of, share_of
+from companion.traffic.signal_strength import Suspicion
 from companion.traffic.track import Track
 
+SIGNAL_PLACE: Final = f"{ASIDE}signal"
+"""What is added to the name of a track for the place that its signal strength points to."""
 _MOST_ASIDE: Final = 50
 """Most places besides those of the tracks that the law is given."""
 _CROWD: Final = 5
@@ -31,7 +36,7 @@ def neighbours_of(
     loss_s: Callable[[Belief], float],
     now_s: float,
 ) -> list[Neighbour]:
-    """Every track, in order, and then where else tracks were lately reported to be.
+    """Every track, in order; then where their signal strength points to, and where they were lately reported.
 
     Args:
         groups: number of tracks in each group.
@@ -44,7 +49,7 @@ def neighbours_of(
             t.position_ned_m,
             t.velocity_ned_mps,
             max(0.0, now_s - t.sample_s),
-            t.sigma_m + (t.wander.error_m + t.signal_reach_m) / SIGMAS,
+            t.sigma_m + t.wander.error_m / SIGMAS,
             t.sigma_mps,
             t.past.growth_mps,
             now_s - t.received_s > t.silent_after_s,
@@ -55,6 +60,11 @@ def neighbours_of(
         )
         for t in tracks
     ]
+    signalled = [
+        _signalled(other, track.signal.suspicion)
+        for other, track in zip(present, tracks, strict=True)
+        if kernels.is_beside(track.signal.suspicion.beside)
+    ]
     aside = [
         (loss_s(belief), f"{other.track_id}{ASIDE}{number}", other, belief)
         for other, track in zip(present, tracks, strict=True)
@@ -63,19 +73,34 @@ def neighbours_of(
     ]
     if len(aside) > _MOST_ASIDE:
         aside = heapq.nsmallest(_MOST_ASIDE, aside, key=itemgetter(0, 1))
-    return present + [
-        msgspec.structs.replace(
-            other,
-            track_id=name,
-            position_ned_m=belief.position,
-            velocity_ned_mps=belief.velocity,
-            age_s=max(0.0, now_s - belief.at_s),
-            sigma_m=belief.sigma_m,
-            sigma_mps=belief.sigma_mps,
-            vertical_known=belief.vertical_known,
-        )
-        for _, name, other, belief in aside
-    ]
+    return (
+        present
+        + signalled
+        + [
+            msgspec.structs.replace(
+                other,
+                track_id=name,
+                position_ned_m=belief.position,
+                velocity_ned_mps=belief.velocity,
+                age_s=max(0.0, now_s - belief.at_s),
+                sigma_m=belief.sigma_m,
+                sigma_mps=belief.sigma_mps,
+                vertical_known=belief.vertical_known,
+            )
+            for _, name, other, belief in aside
+        ]
+    )
+
+
+def _signalled(there: Neighbour, suspicion: Suspicion) -> Neighbour:
+    """A track at the place that its signal strength points to. Nobody has proven that place."""
+    north, east, down = there.position_ned_m
+    return msgspec.structs.replace(
+        there,
+        track_id=there.track_id + SIGNAL_PLACE,
+        position_ned_m=(north + suspicion.north_m, east + suspicion.east_m, down),
+        proven=False,
+    )
 
 
 def _rank(track: Track) -> int:

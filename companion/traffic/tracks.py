@@ -182,15 +182,22 @@ class Traffic:
             track = self._take(source, fix, now_s)
             if track is not None:
                 self._judge.signer(track, now_s, utc_offset_s is not None)
-                if heard.rssi_dbm is not None:
-                    ratio = track.note_signal(source.key, heard.rssi_dbm, self._own.position, now_s)
-                    self._judge.signal(track, ratio)
+            if heard.rssi_dbm is not None:
+                self._witness(source, heard.rssi_dbm, now_s)
             fed += source.fed
         if self.signatures is not None:
             if fed:
                 self.signatures.heard(source, heard, fed)
             for ended in (None,) * torn + (() if whole is None else (whole,)):
                 self._judge.proves(source, self._of(source), ended, heard, now_s, utc_offset_s)
+
+    def _witness(self, source: Source, rssi_dbm: float, now_s: float) -> None:
+        """Compare the power of a Location with the track that it fed, also if its content is not new."""
+        for track in source.fed:
+            if self.tracks.get(track.track_id) is track and track.note_signal(
+                source.key, rssi_dbm, self._own.position, now_s
+            ):
+                self._judge.signal(track, track.signal.suspicion.log_ratio)
 
     def _add_page(
         self, source: Source, page: Authentication, heard: RemoteIdHeard, now_s: float

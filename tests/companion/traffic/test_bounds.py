@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from companion.avoidance.law import ASIDE
 from companion.config import TrafficConfig
 from companion.errors import PeerDataError
 from companion.events import RemoteIdHeard
@@ -134,7 +135,10 @@ def test_two_hundred_thousand_hostile_frames(keys):
                 traffic.note_own(now_s, (0.1 * k, 0.0, 0.0), (0.0, 0.0, 0.0))
                 traffic.expire(now_s)
                 traffic.flagged(now_s)
-                assert 0 <= len(traffic.neighbours(now_s)) - len(traffic.tracks) <= 50
+                names = [n.track_id for n in traffic.neighbours(now_s)]
+                assert len(set(names)) == len(names)
+                assert {name.partition(ASIDE)[0] for name in names} == set(traffic.tracks)
+                assert len(names) <= 2 * len(traffic.tracks) + 50
             if k % 997 == 0:
                 check_bounds(traffic, 50)
             utc_offset_s = None if k % 1000 < 20 else UTC_OFFSET_S

@@ -11,12 +11,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.avoidance.law import ASIDE
+from companion.avoidance.law import ASIDE, Neighbour
 from companion.commands import status
 from companion.config import VehicleConfig
 from companion.errors import ConfigError
 from companion.runtime.flight import Flight
 from companion.runtime.status import live_state
+from companion.traffic.places import SIGNAL_PLACE
 from tests.companion.core.herding import heard
 from tests.companion.runtime.flying import (
     LONG_S,
@@ -143,3 +144,13 @@ def test_another_place_of_a_track_is_shown_with_what_is_known_of_the_track(make_
     shown = live_state._tracks(bench.core, bench.now_s, None)
     assert [track.track_id for track in shown] == ["X", f"X{ASIDE}1"]
     assert {track.transport for track in shown} == {"wifi"}
+
+
+def test_the_place_of_a_signal_is_shown_with_the_doubts_of_its_track():
+    there = Neighbour("X" + SIGNAL_PLACE, (30.0, 40.0, -50.0), (3.0, 4.0, 0.0), 0.0, 1.5)
+    doubts = ("signal_mismatch",)
+    shown = live_state._track(
+        there, (0.0, 0.0, -40.0), {}, {(False, there.track_id)}, {"X": ("wifi", doubts)}
+    )
+    assert (shown.track_id, shown.transport, shown.doubts) == (there.track_id, "wifi", doubts)
+    assert (shown.distance_m, shown.above_m, shown.conflict) == (50.0, 10.0, True)
