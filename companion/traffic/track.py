@@ -131,8 +131,6 @@ class Track:
     """When a message was last dated by that clock (our monotonic time)."""
     wander: Wander = field(default_factory=Wander)
     signal: SignalWitness = field(default_factory=SignalWitness)
-    signal_reach_m: float = 0.0
-    """How far from its position the signal strength says that it may be (`SignalWitness.reach_m`)."""
     declared_s: float | None = None
     """Time of the last message that declared a velocity (our monotonic time)."""
     doubts: Doubts = field(default_factory=Doubts)
@@ -199,24 +197,19 @@ class Track:
         self.leads_s.append(lead_s)
         return True
 
-    def note_signal(self, key: str, rssi_dbm: float, here: Vec3, now_s: float) -> float:
-        """Compare the power of its last message with the place where it was then.
+    def note_signal(self, key: str, rssi_dbm: float, here: Vec3, now_s: float) -> bool:
+        """Compare the power of a message with the place where the track is then. False if it was not used.
 
         Args:
             key: radio address that the message came from.
             here: own position.
-
-        Returns:
-            The log likelihood ratio against the reported positions.
         """
         age_s = max(0.0, now_s - self.sample_s)
         north, east, down = (
             p + age_s * v - o
             for p, v, o in zip(self.position_ned_m, self.velocity_ned_mps, here, strict=True)
         )
-        self.signal.add(key, rssi_dbm, (north, east, down), now_s)
-        self.signal_reach_m = self.signal.reach_m
-        return self.signal.log_ratio
+        return self.signal.add(key, rssi_dbm, (north, east, down), now_s)
 
     def note_miss(self, fix: Fix, sample_s: float, now_s: float) -> None:
         """Compare a message with the place that is predicted for its time."""

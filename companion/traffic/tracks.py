@@ -18,6 +18,9 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
+import msgspec
+
+from companion.avoidance import kernels
 from companion.avoidance.law import SIGMAS, Neighbour
 from companion.config import AvoidanceConfig, TrafficConfig
 from companion.events import RemoteIdHeard, Say, TrackFlagged
@@ -35,6 +38,7 @@ from companion.traffic.plausibility import Flag, MotionWindow, Reports, status_d
 from companion.traffic.reception import Reception
 from companion.traffic.right_of_way import rank_of, share_of
 from companion.traffic.sender_details import Source
+from companion.traffic.signal_strength import Suspicion
 from companion.traffic.signatures import Signatures
 from companion.traffic.table import ADDRESSES_PER_TRACK, TRACKS_PER_IDENTITY, Table
 from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, same
@@ -42,6 +46,9 @@ from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, sa
 _MAX_RANGE_M = 50_000.0
 """Positions farther from us than this are implausible: Remote ID does not reach that far, and the local frame
 is too inaccurate there."""
+BESIDE_NAME = " (where its signal is)"
+"""What is added to the name of a track for the place that its signal strength points to. No UAS ID is as long
+as this."""
 _LEADS = 5
 _RANKED_EVERY = 8
 """A track is ranked for eviction every so many messages; its standing changes little in between."""
@@ -154,15 +161,22 @@ class Traffic:
             track = self._take(source, fix, now_s)
             if track is not None:
                 self._judge.signer(track, now_s, utc_offset_s is not None)
-                if heard.rssi_dbm is not None:
-                    ratio = track.note_signal(source.key, heard.rssi_dbm, self._own.position, now_s)
-                    self._judge.signal(track, ratio)
+            if heard.rssi_dbm is not None:
+                self._witness(source, heard.rssi_dbm, now_s)
             fed += source.fed
         if self.signatures is not None:
             if fed:
                 self.signatures.heard(source, heard, fed)
             for ended in (None,) * torn + (() if whole is None else (whole,)):
                 self._judge.proves(source, self._of(source), ended, heard, now_s, utc_offset_s)
+
+    def _witness(self, source: Source, rssi_dbm: float, now_s: float) -> None:
+        """Compare the power of a Location with the track that it fed, also if its content is not new."""
+        for track in source.fed:
+            if self.tracks.get(track.track_id) is track and track.note_signal(
+                source.key, rssi_dbm, self._own.position, now_s
+            ):
+                self._judge.signal(track, track.signal.suspicion.log_ratio)
 
     def _add_page(
         self, source: Source, page: Authentication, heard: RemoteIdHeard, now_s: float
@@ -189,24 +203,31 @@ class Traffic:
             self._table.remove(track)
 
     def neighbours(self, now_s: float) -> list[Neighbour]:
-        """Every track, as input of the law."""
-        return [
-            Neighbour(
-                t.track_id,
-                t.position_ned_m,
-                t.velocity_ned_mps,
-                max(0.0, now_s - t.sample_s),
-                t.sigma_m + (t.wander.error_m + t.signal_reach_m) / SIGMAS,
-                t.sigma_mps,
-                t.past.growth_mps,
-                now_s - t.received_s > t.silent_after_s,
-                share_of(self._own_rank, _rank(t)),
-                t.vertical_known,
-                proven=t.proven,
-                group=t.group if self._table.groups[t.group] >= _CROWD else "",
-            )
-            for t in self.tracks.values()
-        ]
+        """Every track, as input of the law. A track whose signal strength contradicts its position is there a
+        second time, at the place that it points to."""
+        found = []
+        for t in self.tracks.values():
+            there = self._neighbour(t, now_s)
+            found.append(there)
+            if kernels.is_beside(t.signal.suspicion.beside):
+                found.append(_beside(there, t.signal.suspicion))
+        return found
+
+    def _neighbour(self, t: Track, now_s: float) -> Neighbour:
+        return Neighbour(
+            t.track_id,
+            t.position_ned_m,
+            t.velocity_ned_mps,
+            max(0.0, now_s - t.sample_s),
+            t.sigma_m + t.wander.error_m / SIGMAS,
+            t.sigma_mps,
+            t.past.growth_mps,
+            now_s - t.received_s > t.silent_after_s,
+            share_of(self._own_rank, _rank(t)),
+            t.vertical_known,
+            proven=t.proven,
+            group=t.group if self._table.groups[t.group] >= _CROWD else "",
+        )
 
     def receptions(self, track: Track) -> list[tuple[str, Reception]]:
         """Transport and reception statistics of each radio address of a track."""
@@ -391,3 +412,14 @@ class Traffic:
 def _rank(track: Track) -> int:
     told = track.about.basic_id
     return rank_of(None if told is None else told.ua_type, track.content.status)
+
+
+def _beside(there: Neighbour, suspicion: Suspicion) -> Neighbour:
+    """A neighbour at the place that its signal strength points to. Nobody has proven that place."""
+    north, east, down = there.position_ned_m
+    return msgspec.structs.replace(
+        there,
+        track_id=there.track_id + BESIDE_NAME,
+        position_ned_m=(north + suspicion.north_m, east + suspicion.east_m, down),
+        proven=False,
+    )

@@ -4,6 +4,7 @@
 - `settings`: what a decision takes and gives: settings, own state, memory, result.
 - `timelines`: the timed path, and the history of own velocities.
 - `neighbours`: the past of tracks, and the planes of neighbours.
+- `powers`: what received powers say of reported positions.
 - `walls`, `fence_planes`: the walls of a fence, and their planes.
 - `programs`: the half-space of ORCA and the linear programs.
 - `hard_planes`: the command within one period's change that satisfies the hard planes.
@@ -51,6 +52,13 @@ from companion.avoidance.kernels.neighbours import (
     put_past,
     seen_at,
     silent_after,
+)
+from companion.avoidance.kernels.powers import (
+    HYPOTHESES,
+    OFFSETS,
+    is_beside,
+    note_power,
+    suspicion,
 )
 from companion.avoidance.kernels.programs import Aim, half_space, solve
 from companion.avoidance.kernels.settings import (
@@ -112,12 +120,14 @@ __all__ = [
     "FUNCTIONS",
     "GROWTH_MOST_MPS",
     "HISTORY_SAMPLES",
+    "HYPOTHESES",
     "IN_CIRCLE",
     "IN_POLYGON",
     "LAG_S",
     "NONE",
     "NO_PAST",
     "NO_WALLS",
+    "OFFSETS",
     "ON_PLANE_MPS",
     "OTHER_COLUMNS",
     "OUT_OF_CIRCLE",
@@ -157,9 +167,11 @@ __all__ = [
     "half_space",
     "in_reach",
     "inside",
+    "is_beside",
     "limit",
     "minus",
     "nearest_of_wall",
+    "note_power",
     "note_track",
     "note_velocity",
     "on_plane",
@@ -178,6 +190,7 @@ __all__ = [
     "settings_at",
     "silent_after",
     "solve",
+    "suspicion",
     "wall_at",
     "warm_up",
     "workspace",

@@ -30,6 +30,7 @@ from companion.avoidance.kernels.neighbours import (
     note_track,
     silent_after,
 )
+from companion.avoidance.kernels.powers import HYPOTHESES, is_beside, note_power, suspicion
 from companion.avoidance.kernels.programs import EPSILON, solve
 from companion.avoidance.kernels.settings import (
     DMUCA,
@@ -336,6 +337,10 @@ def warm_up() -> None:
     all_within(neighbours, 2, 1.0)
     silent_after(0.0)
     note_track(tuple(NO_PAST), 1.0, zero, zero, 1.0)
+    powers = np.zeros(HYPOTHESES)
+    note_power(powers, np.zeros((2, HYPOTHESES)), np.zeros(3), 0.0, 0.0, 0.0, 0.0, 0.0)
+    suspicion(powers)
+    is_beside(0.0)
     path_position(*path, 0.0)
     path_nearest(*path, 0.0, 0.0, 0.0)
     inside(np.zeros((1, NO_WALLS.shape[1])), 0, 1, Point(0.0, 0.0))

@@ -16,6 +16,7 @@ from companion.core import Companion
 from companion.events import Decision
 from companion.geometry import Vec3
 from companion.runtime.status.status_socket import MOST_TRACKS, TrackStatus
+from companion.traffic.tracks import BESIDE_NAME
 
 
 def core_status(core: Companion, now_s: float, decision: Decision | None) -> dict[str, Any]:
@@ -75,7 +76,7 @@ def _track(
 ) -> TrackStatus:
     key = (other.adsb, other.track_id)
     p, v, age = other.position_ned_m, other.velocity_ned_mps, other.age_s
-    transport, doubts = ("adsb", ()) if other.adsb else names[other.track_id]
+    transport, doubts = ("adsb", ()) if other.adsb else names[other.track_id.removesuffix(BESIDE_NAME)]
     return TrackStatus(
         track_id=other.track_id,
         transport=transport,

@@ -13,7 +13,7 @@ from companion.events import RemoteIdHeard
 from companion.geometry import LocalFrame
 from companion.remote_id.codec import decode
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, Message, Status, UaType
-from companion.traffic.tracks import Traffic
+from companion.traffic.tracks import BESIDE_NAME, Traffic
 from tests.support.place import HOME
 
 UTC_OFFSET_S = 1_767_225_600.0
@@ -134,7 +134,9 @@ def test_two_hundred_thousand_hostile_frames(keys):
                 traffic.note_own(now_s, (0.1 * k, 0.0, 0.0), (0.0, 0.0, 0.0))
                 traffic.expire(now_s)
                 traffic.flagged(now_s)
-                assert len(traffic.neighbours(now_s)) == len(traffic.tracks)
+                names = [n.track_id for n in traffic.neighbours(now_s)]
+                assert len(set(names)) == len(names)
+                assert {name.removesuffix(BESIDE_NAME) for name in names} == set(traffic.tracks)
             if k % 997 == 0:
                 check_bounds(traffic, 50)
             utc_offset_s = None if k % 1000 < 20 else UTC_OFFSET_S

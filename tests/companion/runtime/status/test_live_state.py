@@ -10,10 +10,13 @@ import time
 import msgspec
 import pytest
 
+from companion.avoidance.law import Neighbour
 from companion.commands import status
 from companion.config import VehicleConfig
 from companion.errors import ConfigError
 from companion.runtime.flight import Flight
+from companion.runtime.status import live_state
+from companion.traffic.tracks import BESIDE_NAME
 from tests.companion.runtime.flying import (
     LONG_S,
     configured,
@@ -126,3 +129,13 @@ def test_a_second_companion_of_the_name_flies_without_a_socket(
     assert heard_of(said, "another companion of this name", before)()
     assert flight._server.path.exists(), "the first one's"
     flight._close()
+
+
+def test_the_place_of_a_signal_is_shown_with_the_doubts_of_its_track():
+    there = Neighbour("X" + BESIDE_NAME, (30.0, 40.0, -50.0), (3.0, 4.0, 0.0), 0.0, 1.5)
+    doubts = ("signal_mismatch",)
+    shown = live_state._track(
+        there, (0.0, 0.0, -40.0), {}, {(False, there.track_id)}, {"X": ("wifi", doubts)}
+    )
+    assert (shown.track_id, shown.transport, shown.doubts) == (there.track_id, "wifi", doubts)
+    assert (shown.distance_m, shown.above_m, shown.conflict) == (50.0, 10.0, True)
