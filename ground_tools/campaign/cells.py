@@ -34,7 +34,7 @@ from companion.traffic import (
     track,
     tracks,
 )
-from ground_tools.campaign import compiled, flight, generators, outcome, vehicles
+from ground_tools.campaign import compiled, flight, generators, outcome, powers, vehicles
 from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.generators import draw
 from ground_tools.campaign.world import World
@@ -102,6 +102,10 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     """A key of `WORLDS`."""
     reserve: bool = True
     """False: no aircraft can fly faster than planned."""
+    rate: Annotated[int, Meta(ge=1, le=20)] = 1
+    """Messages of each aircraft in a second."""
+    signal: bool = False
+    """Whether the aircraft weigh the signal strength of messages."""
 
     @property
     def twins(self) -> bool:
@@ -149,6 +153,8 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     and so on."""
     alerts: tuple[int, ...]
     """Pairs in which an avoiding aircraft was in conflict with the other one, by pair number."""
+    flagged: tuple[tuple[int, int], ...] = ()
+    """Receiver and sender, where the signal strength contradicted the positions."""
 
     @property
     def severity(self) -> float:
@@ -229,13 +235,17 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
         end_s=float(times.max()),
         delay_s=cell.delay_s,
         loss=cell.loss,
+        message_s=1.0 / cell.rate,
+        step_s=min(WORLDS[cell.world].step_s, 1.0 / cell.rate),
+        signal=cell.signal,
     )
     n, conditions = cell.aircraft, world.conditions(avoidance.period_s)
     steps = round((world.end_s - world.start_s) / world.step_s) if looked else 0
     decisions = math.ceil(steps / conditions.period)
     trace, log = np.zeros((steps, n, 3)), flight.new_log(n, decisions)
     pairs, result = np.zeros((n, n, outcome.PAIR_ENTRIES)), np.zeros(outcome.FLIGHT_ENTRIES)
-    rng = np.random.default_rng([seed, 7])
+    rng, power_rng = np.random.default_rng([seed, 7]), np.random.default_rng([seed, 9])
+    measured = powers.unmeasured(power_rng, conditions, n)
     if cell.twins:
         laws = [
             law.Law(avoidance if kind == vehicles.AVOIDS else LAWS["none"], own, path, fence)
@@ -243,12 +253,16 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
         ]
         twin_flight.fly(rng, conditions, times, points, fence, settings, kinds, laws, pairs, result)
     else:
-        flight.fly(rng, conditions, times, points, fence, settings, kinds, trace, log, pairs, result)
-    found = _row(seed, result, pairs[np.tril_indices(n, -1)])
+        flight.fly(
+            rng, conditions, times, points, fence, settings, kinds, trace, log, pairs, result, measured,
+            power_rng,
+        )  # fmt: skip
+    flagged = np.argwhere(measured.suspicion[:, :, powers.S_FLAGGED] != 0.0).tolist()
+    found = _row(seed, result, pairs[np.tril_indices(n, -1)], flagged)
     return Look(found, world, avoidance, tuple(limits), fence, times, points, kinds, trace, log)
 
 
-def _row(seed: int, result: Floats, pairs: Floats) -> Row:
+def _row(seed: int, result: Floats, pairs: Floats, flagged: list[list[int]]) -> Row:
     values: list[Any] = [round(value, 4) for value in result.tolist()]
     for entry in (outcome.F_FIRST, outcome.F_SECOND):
         values[entry] = int(result[entry])
@@ -256,7 +270,9 @@ def _row(seed: int, result: Floats, pairs: Floats) -> Row:
         if math.isinf(result[entry]):
             values[entry] = None
     lost, alerts = pairs[:, outcome.P_SEPARATION] < SEPARATION_M, pairs[:, outcome.P_ALERT] != 0.0
-    return Row(seed, *values, *(tuple(np.flatnonzero(which).tolist()) for which in (lost, alerts)))
+    values += [tuple(np.flatnonzero(which).tolist()) for which in (lost, alerts)]
+    values.append(tuple((receiver, sender) for receiver, sender in flagged))
+    return Row(seed, *values)
 
 
 def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
@@ -357,6 +373,8 @@ def baseline(cell: Cell) -> Cell:
         law="none",
         delay_s=(0.0, 1.0),
         loss=0.0,
+        rate=1,
+        signal=False,
         intruders=cell.intruders if turning else 0.0,
         intruder=cell.intruder if turning else "blind",
     )
@@ -376,6 +394,15 @@ def lost(rows: Sequence[Row]) -> int:
 def collided(rows: Sequence[Row]) -> int:
     """Number of flights in which a pair came nearer than `outcome.COLLISION_M`."""
     return sum(row.separation_m < outcome.COLLISION_M for row in rows)
+
+
+def flagged(cell: Cell, rows: Sequence[Row]) -> dict[str, int]:
+    """Number of pairs of receiver and sender in which the signal strength contradicted the positions: for
+    senders that are intruders, and for others."""
+    intruders = round(cell.intruders * cell.aircraft)
+    senders = [sender for row in rows for _, sender in row.flagged]
+    of_intruders = sum(sender < intruders for sender in senders)
+    return {"flagged_intruders": of_intruders, "flagged_others": len(senders) - of_intruders}
 
 
 def median(values: Sequence[float]) -> float:

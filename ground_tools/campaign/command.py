@@ -98,19 +98,18 @@ def _add_run(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--speed", type=float, default=5.0, metavar="M/S", help="greatest speed (default: 5)"
     )
-    command.add_argument(
-        "--loss",
-        type=float,
-        default=0.0,
-        metavar="SHARE",
-        help="share of messages that are lost, 0 to 1 (default: 0)",
-    )
+    command.add_argument("--loss", type=float, default=0.0, metavar="SHARE",
+                         help="share of messages that are lost, 0 to 1 (default: 0)")  # fmt: skip
     command.add_argument("--intruders", type=float, default=0.0, metavar="SHARE",
                          help="share of aircraft that are intruders, 0 to 1 (default: 0)")  # fmt: skip
     command.add_argument("--intruder", choices=_INTRUDERS, default="blind", metavar="KIND",
                          help=f"kind of intruder: {', '.join(_INTRUDERS)} (default: blind)")  # fmt: skip
     command.add_argument("--world", choices=campaign.WORLDS, default="calm", metavar="NAME",
                          help=f"conditions: {', '.join(campaign.WORLDS)} (default: calm)")  # fmt: skip
+    command.add_argument("--rate", type=int, default=1, metavar="N",
+                         help="messages of each aircraft in a second, 1 to 20 (default: 1)")  # fmt: skip
+    command.add_argument("--signal", action="store_true",
+                         help="let aircraft weigh the signal strength of messages")  # fmt: skip
     command.add_argument(
         "--no-reserve", action="store_true", help="limit every aircraft to its planned speed"
     )
@@ -148,12 +147,8 @@ def _add_fences(command: argparse.ArgumentParser) -> None:
 
 
 def _add_common(command: argparse.ArgumentParser, seeds: str) -> None:
-    command.add_argument(
-        "--seeds",
-        default=seeds,
-        metavar="FROM-TO",
-        help=f"range of seeds, one encounter each (default: {seeds})",
-    )
+    command.add_argument("--seeds", default=seeds, metavar="FROM-TO",
+                         help=f"range of seeds, one encounter each (default: {seeds})")  # fmt: skip
     command.add_argument(
         "--out",
         type=Path,
@@ -178,7 +173,7 @@ def run(args: argparse.Namespace) -> int:
     """
     cell, seeds = _cell(args), seeds_of(args.seeds)
     _check_worst(args)
-    _check_twins(args, cell)
+    _check_combined(args, cell)
     words = Console(stderr=True)
     began = time.perf_counter()
     unavoided = campaign.baseline(cell)
@@ -186,6 +181,7 @@ def run(args: argparse.Namespace) -> int:
     report = summary(found[cell], found[unavoided])
     report["wall_s"] = round(time.perf_counter() - began, 3)
     report["flight_s"] = flown * campaign.duration_s(cell)
+    report |= campaign.flagged(cell, found[cell])
     worst = sorted(found[cell], key=attrgetter("separation_m"))[: args.worst]
     report["worst"] = []
     with progress("run folders", len(worst)) as advance:
@@ -359,6 +355,7 @@ def _cell(args: argparse.Namespace) -> Cell:
         ("speed", args.speed, 1.0, 50.0),
         ("loss", args.loss, 0.0, 1.0),
         ("intruders", args.intruders, 0.0, 1.0),
+        ("rate", args.rate, 1, 20),
     ):
         if not least <= value <= most:
             raise ConfigError(f"--{key}: {value:g} is out of range; allowed: {least:g} to {most:g}")
@@ -377,6 +374,8 @@ def _cell(args: argparse.Namespace) -> Cell:
         intruder=args.intruder,
         world=args.world,
         reserve=not args.no_reserve,
+        rate=args.rate,
+        signal=args.signal,
     )
 
 
@@ -390,9 +389,13 @@ def _check_worst(args: argparse.Namespace) -> None:
         )
 
 
-def _check_twins(args: argparse.Namespace, cell: Cell) -> None:
+def _check_combined(args: argparse.Namespace, cell: Cell) -> None:
+    if args.worst and cell.signal:
+        raise ConfigError("--worst cannot be combined with --signal: a run folder does not hold powers")
     if not cell.twins:
         return
+    if cell.signal:
+        raise ConfigError(f"--signal cannot be combined with --intruder {cell.intruder}")
     if args.worst:
         raise ConfigError(
             f"--worst cannot be combined with --intruder {cell.intruder}: a run folder cannot tell "
@@ -431,6 +434,10 @@ def _show(cell: Cell, report: dict[str, Any], words: Console) -> None:
         f"{r['false_alerts']:,}",
         f"{r['flight_s']:,.0f} s of flight computed in {r['wall_s']:.1f} s",
     ]
+    if cell.signal:
+        lines.append(
+            f"signal flags: {r['flagged_intruders']:,} of intruders, {r['flagged_others']:,} of others"
+        )
     lines += [f"seed {w['seed']}: {w['separation_m']:.2f} m: {w['folder']}" for w in r["worst"]]
     for line in lines:
         words.print(line, highlight=False, soft_wrap=True)

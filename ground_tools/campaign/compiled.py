@@ -10,13 +10,14 @@ from typing import Any, TypeVar, cast
 from numba import config, njit
 
 from companion.avoidance import kernels, law
-from companion.traffic import adsb, right_of_way
+from companion.traffic import adsb, right_of_way, signal_strength
+from sitl_mocks.channel import parameters as channel
 
 Function = TypeVar("Function")
 SOURCES = (
     *kernels.SOURCES,
-    *(Path(str(module.__file__)) for module in (law, adsb, right_of_way)),
-    *(Path(__file__).with_name(f"{name}.py") for name in ("world", "vehicles", "outcome")),
+    *(Path(str(module.__file__)) for module in (law, adsb, right_of_way, signal_strength, channel)),
+    *(Path(__file__).with_name(f"{name}.py") for name in ("world", "vehicles", "outcome", "powers")),
 )
 """Source files whose functions and constants are compiled into functions of other files."""
 _STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]

@@ -18,6 +18,14 @@ from companion.traffic.right_of_way import CREWED as CREWED_RANK
 from companion.traffic.right_of_way import FREE, share_of
 from ground_tools.campaign.compiled import compiled
 from ground_tools.campaign.outcome import P_ALERT, Tally, count_decision, land, measure, nothing_yet
+from ground_tools.campaign.powers import (
+    S_BESIDE,
+    S_EAST,
+    S_NORTH,
+    Powers,
+    measure_powers,
+    unmeasured,
+)
 from ground_tools.campaign.vehicles import (
     AVOIDS,
     BAROMETRIC,
@@ -102,9 +110,9 @@ class Mind(NamedTuple):
     velocities: Floats
     """(A, HISTORY_SAMPLES, 3)."""
     neighbours: Floats
-    """(A, columns of `kernels.Other`)."""
+    """(2 A, columns of `kernels.Other`)."""
     senders: Integers
-    """(A,): which aircraft the rows of `neighbours` are."""
+    """(2 A,): which aircraft the rows of `neighbours` are."""
     turn: Floats
     """(A,): turn of a turning aircraft, rad; likewise its climb, m/s."""
     climb: Floats
@@ -136,8 +144,8 @@ def _new_mind(fleet: int, settings: Floats) -> Mind:
         samples=np.zeros(fleet, np.int64),
         times_s=np.zeros((fleet, k.HISTORY_SAMPLES)),
         velocities=np.zeros((fleet, k.HISTORY_SAMPLES, 3)),
-        neighbours=np.zeros((fleet, k.OTHER_COLUMNS)),
-        senders=np.zeros(fleet, np.int64),
+        neighbours=np.zeros((2 * fleet, k.OTHER_COLUMNS)),
+        senders=np.zeros(2 * fleet, np.int64),
         turn=np.zeros(fleet),
         climb=np.zeros(fleet),
     )
@@ -159,6 +167,8 @@ def fly(
     log: Log,
     pairs: Floats,
     result: Floats,
+    powers: Powers | None = None,
+    power_rng: np.random.Generator | None = None,
 ) -> None:
     """Fly a fleet along its paths.
 
@@ -173,15 +183,20 @@ def fly(
         log: written for as many decisions as it has.
         pairs: shape (A, A, PAIR_ENTRIES), of each aircraft and each one with a lower index; written.
         result: FLIGHT_ENTRIES values; written.
+        powers: from `powers.unmeasured`; written. None: no powers are measured.
+        power_rng: source of the shadowing of messages, so that all other draws are the same without it.
     """
     fleet = len(kinds)
+    if powers is None or power_rng is None:
+        power_rng, world = np.random.default_rng(0), world._replace(signal=0.0)
+        powers = unmeasured(power_rng, world, fleet)
     craft, tally = on_the_ground(fleet, world), nothing_yet(fleet, pairs, result)
-    mind, work = _new_mind(fleet, settings), k.workspace(len(fence), fleet)
+    mind, work = _new_mind(fleet, settings), k.workspace(len(fence), 2 * fleet)
     dark, dark_from = _blackout(rng, world, kinds)
     begin(rng, world, path_times, path_points, kinds, craft)
     _fly(
         rng, world, path_times, path_points, fence, settings, kinds, trace, log, pairs, result, craft, tally,
-        mind, work, dark, float(dark_from),
+        mind, work, dark, float(dark_from), powers, power_rng,
     )  # fmt: skip
     land(kinds, mind.late_s, tally, pairs, result)
 
@@ -205,6 +220,8 @@ def _fly(
     work: k.Workspace,
     dark: int,
     dark_from: float,
+    powers: Powers,
+    power_rng: np.random.Generator,
 ) -> None:
     """The loop of `fly`."""
     step = world.step_s
@@ -219,13 +236,15 @@ def _fly(
                 slot = send(rng, world, tick, i, kinds, craft)
                 for c in range(MESSAGE_COLUMNS):
                     mind.heard[i, i, c] = craft.sent[i, slot, c]
+        if world.signal != 0.0:
+            measure_powers(power_rng, world, tick, kinds, craft, mind.heard, powers)
         if tick % every == 0:
             for i in range(len(kinds)):
                 if i == dark and unfit:
                     craft.command[i, 0] = craft.command[i, 1] = craft.command[i, 2] = 0.0
                     continue
                 _receive(now, world.declared_m, i, craft, mind)
-                count = _look(world, now, i, kinds, craft, mind)
+                count = _look(world, now, i, kinds, craft, mind, powers)
                 own, law = _own(world, now, i, craft), k.settings_at(settings, i)
                 decision = k.decide(
                     mind.neighbours, count, own, k.Path(path_times[i], path_points[i]), fence, law,
@@ -339,8 +358,13 @@ def _receive(now: float, declared: float, i: int, craft: Fleet, mind: Mind) -> N
 
 
 @_inlined
-def _look(world: Conditions, now: float, i: int, kinds: Floats, craft: Fleet, mind: Mind) -> int:
-    """Write the aircraft that aircraft i knows to `neighbours` and `senders`. Returns their number."""
+def _look(
+    world: Conditions, now: float, i: int, kinds: Floats, craft: Fleet, mind: Mind, powers: Powers
+) -> int:
+    """Write the aircraft that aircraft i knows to `neighbours` and `senders`. Returns the number of rows.
+
+    As in `Traffic.neighbours`, an aircraft whose signal strength contradicts its position has a second row.
+    """
     count = 0
     for j in range(len(kinds)):
         m = mind.heard[i, j]
@@ -364,6 +388,13 @@ def _look(world: Conditions, now: float, i: int, kinds: Floats, craft: Fleet, mi
         k.put_other(mind.neighbours, count, known)
         mind.senders[count] = j
         count += 1
+        if world.signal != 0.0 and k.is_beside(powers.suspicion[i, j, S_BESIDE]):
+            said = powers.suspicion[i, j]
+            k.put_other(mind.neighbours, count, known)
+            row = mind.neighbours[count]
+            row[0], row[1] = known.n + said[S_NORTH], known.e + said[S_EAST]
+            mind.senders[count] = j
+            count += 1
     return count
 
 
@@ -393,6 +424,8 @@ def _write_down(
         log.others[d, i, i, c] = mind.heard[i, i, 1 + c]
     for n in range(count):
         j = mind.senders[n]
+        if n > 0 and mind.senders[n - 1] == j:
+            continue  # the same aircraft at the place that its signal strength points to
         log.message_s[d, i, j] = mind.heard[i, j, M_TIME]
         for c in range(k.OTHER_COLUMNS):
             log.others[d, i, j, c] = mind.neighbours[n, c]

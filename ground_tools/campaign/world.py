@@ -47,6 +47,12 @@ class Conditions(NamedTuple):
     """Error of the position that a liar sends."""
     blackout_s: float
     """How long one aircraft has no GNSS."""
+    signal: float
+    """0 or 1: whether receivers measure the power of messages."""
+    sender_db: float
+    """Standard deviation of a sender's power; likewise the shadowing of a link and that of a message."""
+    link_db: float
+    message_db: float
 
 
 class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -82,6 +88,14 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     blackout_s: Annotated[float, Meta(ge=0)] = 0.0
     """How long one avoiding aircraft has no GNSS, around the middle of the flight. Meanwhile it sends
     nothing, decides nothing and stands still."""
+    signal: bool = False
+    """Whether receivers measure the power of messages and weigh it (`companion.avoidance.kernels.powers`)."""
+    sender_db: Annotated[float, Meta(ge=0)] = 4.0
+    """Standard deviation of a sender's power, drawn once for each aircraft."""
+    link_db: Annotated[float, Meta(ge=0)] = 4.0
+    """Standard deviation of the shadowing of a link, drawn once for each pair of sender and receiver."""
+    message_db: Annotated[float, Meta(ge=0)] = 4.5
+    """Standard deviation of the shadowing of a message; 6 dB together with that of the link."""
 
     def conditions(self, period_s: float) -> Conditions:
         """The same for the compiled code.

@@ -155,6 +155,12 @@ def test_the_blind_do_not_avoid():
         (["--loss", "1.5"], "--loss: 1.5 is out of range; allowed: 0 to 1"),
         (["--intruders", "-1"], "--intruders: -1 is out of range; allowed: 0 to 1"),
         (["--speed", "nan"], "--speed: nan is out of range; allowed: 1 to 50"),
+        (["--rate", "21"], "--rate: 21 is out of range; allowed: 1 to 20"),
+        (["--signal", "--worst", "1"], "--worst cannot be combined with --signal"),
+        (
+            ["--signal", "--intruder", "twin", "--intruders", "0.2"],
+            "--signal cannot be combined with --intruder",
+        ),
         (["--processes", "0"], "--processes: 0 is out of range; allowed: 1 to 1024"),
         (["--out", "/dev/null/here"], "/dev/null/here"),
         (["--aircraft", "60", "--generator", "circle"], "seed 1: generator circle: it cannot place 60"),

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from ground_tools.campaign import compiled, flight, outcome, vehicles
+from ground_tools.campaign import compiled, flight, outcome, powers, vehicles
 
 PACKAGE = "ground_tools.campaign."
 
 
-@pytest.mark.parametrize("module", [flight, outcome, vehicles])
+@pytest.mark.parametrize("module", [flight, outcome, powers, vehicles])
 def test_what_is_compiled_in_from_other_files_is_known(module):
     tree = ast.parse(Path(module.__file__).read_text())
     used = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
