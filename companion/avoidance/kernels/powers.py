@@ -34,7 +34,7 @@ _LINK_DB: Final = math.hypot(4.0, 6.0)
 """Standard deviation of what is constant for a link: the sender's power (4 dB) and shadowing (6 dB)."""
 _DRIFT_DB2_PER_S: Final = 0.02
 """Growth of the variance of the link's shift (1.1 dB in a minute): power and shadowing are not quite
-constant. Ten times as much would hide most offsets of 50 m until they are near."""
+constant."""
 _SLOPE_DB: Final = 20.0 / math.log(10.0)
 _LEAST_M: Final = 2.0
 """Distances below this count as this: antennas are not points."""
