@@ -102,8 +102,9 @@ def test_nothing_that_the_core_sends_is_changed_or_late(rates):
             assert any(type(m) is Authentication for m in added.messages)
 
 
-def test_packs_hold_a_location_and_no_parity():
-    for _, core, sent in flown(30.0, {"wifi": 2}, a_signer()):
+@pytest.mark.parametrize("rate", [2, 10])
+def test_packs_hold_a_location_and_no_parity(rate):
+    for _, core, sent in flown(30.0, {"wifi": rate}, a_signer()):
         for added in sent[len(core) :]:
             kinds = [type(m) for m in added.messages]
             assert kinds[:2] == [BasicId, Location]

@@ -9,7 +9,9 @@ import random
 import pytest
 
 from companion.avoidance.law import ASIDE
+from companion.config import AvoidanceConfig
 from companion.geometry import Vec3
+from companion.traffic.eviction import Judgement
 from companion.traffic.track import _BELIEFS
 from tests.companion.traffic.attacked import ADDRESS, NAME, STEP_S, Attack, Sky, fly
 from tests.companion.traffic.flights import Listener, basic, location, seconds, straight
@@ -147,3 +149,11 @@ def test_a_fast_sender_stays_one_track_in_one_place(rate_hz):
     for at_s in seconds(round(20 * rate_hz), rate_hz=rate_hz):
         hear(listener, straight(100.0), [at_s])
         assert [n.track_id for n in listener.traffic.neighbours(at_s + 0.3)] == ["X"]
+
+
+def test_how_soon_separation_is_lost_counts_from_our_own_height():
+    judgement = Judgement(AvoidanceConfig())
+    judgement.position, judgement.velocity = (0.0, 0.0, -100.0), (0.0, 0.0, 0.0)
+    assert judgement.loss_s((100.0, 0.0, -100.0), (-10.0, 0.0, 0.0)) < 10.0
+    assert judgement.loss_s((100.0, 0.0, 100.0), (-10.0, 0.0, 0.0)) == math.inf
+    assert judgement.loss_s((100.0, 0.0, -200.0), (-10.0, 0.0, 0.0)) == math.inf
