@@ -221,6 +221,7 @@ def main() -> None:
             flush=True,
         )
         slowest, least, grown = max(slowest, most), min(least, share), max(grown, grew)
+    gc.enable()
     target("slowest step in a flood", slowest, "ms", most=MOST_MS)
     target("honest frames heard in a flood", least, "%", least=LEAST_HEARD)
     target("growth of memory in three floods", grown, "MB", most=MOST_MB)

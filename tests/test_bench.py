@@ -16,6 +16,7 @@ from bench import (
     bench_avoidance,
     bench_channel,
     bench_core,
+    bench_flood,
     bench_gate,
     bench_lockstep,
     bench_remote_id,
@@ -41,6 +42,11 @@ _SHORT_AVOIDANCE = {
     [
         (bench_avoidance, _SHORT_AVOIDANCE, "target: campaign, 5 aircraft: at least 45,000"),
         (bench_core, {"SECONDS": 10, "FLIGHTS": 2}, "target: deciding step, median: at most 0.2"),
+        (
+            bench_flood,
+            {"FLOOD_S": 1, "FLIGHTS": 1, "FLOODS": bench_flood.FLOODS[:2]},
+            "target: honest frames heard in a flood: at least 95 %",
+        ),
         (bench_gate, {"STEPS": 300}, "octagonal fence"),
         (bench_lockstep, {"SECONDS": 2.0, "RUNS": 2}, "target: 5 aircraft: at least 60 times real time"),
         (bench_remote_id, {"NUMBER": 200}, "Location: encode"),
