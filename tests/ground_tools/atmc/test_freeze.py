@@ -45,7 +45,7 @@ def _few():
     """Measures with few places and fleets."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(validation, "_FLEETS", dict.fromkeys(("paper", "awareness"), ((3, 2),)))
-        patch.setattr(freeze_command, "_SAMPLES", {5: 1, 10: 1})
+        patch.setattr(freeze_command, "SAMPLES", {5: 1, 10: 1})
         patch.setattr(evaluate, "decision_us", lambda *_: 0.0)
         patch.setattr(evaluate, "switches_per_minute", lambda *_: 0.0)
         yield
@@ -66,7 +66,7 @@ def asked(monkeypatch):
         return {key: 100.0 * question.uavs + place for place, key in enumerate(KEYS)}
 
     monkeypatch.setattr(evaluate, "evaluate", measure)
-    monkeypatch.setattr(freeze_command, "_SAMPLES", {4: 7, 5: 3, 10: 1})
+    monkeypatch.setattr(freeze_command, "SAMPLES", {4: 7, 5: 3, 10: 1})
     return found
 
 
