@@ -328,12 +328,13 @@ class Allowances:
 
     def _forget(self, now_s: float) -> None:
         """Remove what is remembered of tracks that have used nothing and are not heard; at most `_MOST`
-        remain, those that have used most."""
+        remain: those that are heard now, then those that have used most."""
         tracks = self._tracks
         for key in [k for k, t in tracks.items() if not t.used.used_s and now_s - t.heard_s > _FORGOTTEN_S]:
             del tracks[key]
         if len(tracks) > _MOST:
-            for key in sorted(tracks, key=lambda k: tracks[k].used.used_s)[: len(tracks) - _MOST]:
+            rank = {key: (known.heard_s >= now_s, known.used.used_s) for key, known in tracks.items()}
+            for key in sorted(tracks, key=rank.__getitem__)[: len(tracks) - _MOST]:
                 del tracks[key]
         groups = self._groups
         for name in [name for name, used in groups.items() if not used.used_s]:

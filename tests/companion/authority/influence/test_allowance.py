@@ -277,3 +277,11 @@ def test_it_is_recorded_when_a_total_is_whole_again():
     sky.run(700.0)
     assert ("total", True) in sky.scopes()
     assert ("total", False) in sky.scopes()
+
+
+def test_a_newcomer_is_remembered_however_many_have_used_something():
+    """More names than are remembered have held the aircraft; the next one appears within its volume."""
+    sky = Sky(ContainmentConfig())
+    for batch in range(6):
+        sky.run(0.4, *(other(f"F{batch}-{n}") for n in range(200)))
+    assert sky.run(0.4, other("NEW", at=(5.0, 0.0, 0.0))) == ["NEW"]
