@@ -113,9 +113,11 @@ def code_of(source: str) -> str:
             row, column = token.start
             lines[row - 1] = lines[row - 1][:column]
     for node in ast.walk(ast.parse(source)):
-        # A string that is a statement of its own describes the definition above it or around it.
-        words = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-        if words and isinstance(node.value.value, str):  # type: ignore[attr-defined]
-            for row in range(node.lineno - 1, node.end_lineno or node.lineno):  # type: ignore[attr-defined]
-                lines[row] = ""
+        match node:
+            # A string that is a statement of its own describes the definition above it or around it. One that
+            # shares its line with code, as in `class A: "words"`, stays.
+            case ast.Expr(value=ast.Constant(value=str())):
+                if not lines[node.lineno - 1][: node.col_offset].strip():
+                    for row in range(node.lineno - 1, node.end_lineno or node.lineno):
+                        lines[row] = ""
     return "\n".join(line.rstrip() for line in lines if line.strip())

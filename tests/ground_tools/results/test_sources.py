@@ -59,6 +59,10 @@ def test_only_code_counts(text, same):
     assert (sources.code_of(text) == sources.code_of("X = 1\n")) is same
 
 
+def test_a_definition_that_shares_its_line_with_its_words_is_code():
+    assert sources.code_of('class A(int): "Words."\n') != sources.code_of('class A(str): "Words."\n')
+
+
 def test_a_number_sign_in_a_string_is_code():
     assert sources.code_of('Y = "#a"\n') != sources.code_of('Y = "#b"\n')
 
