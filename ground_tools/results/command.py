@@ -15,10 +15,11 @@ from ground_tools.common.progress import progress
 from ground_tools.results import kept, provenance
 from ground_tools.results.kept import Entry
 
-Status = Literal["current", "unchanged", "outdated", "unknown"]
+Status = Literal["current", "unchanged", "changed", "outdated", "unknown"]
 _WORDS: Final = {
     "current": "made by today's code and data",
     "unchanged": "made by other code or data; a sample made again is the same",
+    "changed": "made by other code or data; --sample tells whether a sample is still the same",
     "outdated": "not what today's software makes",
     "unknown": "made by unknown code",
 }
@@ -70,7 +71,7 @@ def run_verify(args: argparse.Namespace) -> int:
                 words.print(f"    {line}", soft_wrap=True, highlight=False)
             if len(why) > _SHOWN:
                 words.print(f"    and {len(why) - _SHOWN} more", highlight=False)
-            if status in ("outdated", "unknown"):
+            if status in ("changed", "outdated", "unknown"):
                 words.print(f"    make it again: {entry.command}", soft_wrap=True, highlight=False)
                 worst = 1
             advance()
@@ -132,4 +133,4 @@ def status_of(entry: Entry, *, sample: bool) -> tuple[Status, list[str]]:
         return ("current", []) if record is not None and not changed else ("unchanged", changed)
     if record is None:
         return "unknown", []
-    return ("outdated", [f"changed since: {name}" for name in changed]) if changed else ("current", [])
+    return ("changed", [f"changed since: {name}" for name in changed]) if changed else ("current", [])

@@ -47,6 +47,7 @@ def test_a_recorded_file_is_current_until_its_code_changes(some, capsys):
     provenance.write(entry.path, old)
     code, out = verify(capsys)
     assert code == 1
+    assert "made by other code or data; --sample tells" in out
     assert "changed since: companion.errors\n    changed since: companion.gone\n" in out
     assert "make it again: make it" in out
 
