@@ -11,12 +11,13 @@ from collections.abc import Mapping
 
 from companion.broadcast.legal_floor import Decided, keep_floor
 from companion.broadcast.monitor import SelfMonitor
-from companion.broadcast.own_messages import Operator, messages_of
+from companion.broadcast.own_messages import Operator, kinds_of, lacking, messages_of
 from companion.broadcast.schedule import Schedule
 from companion.broadcast.vehicle_module import VehicleModule
 from companion.config import Config
 from companion.events import (
     ArmStatus,
+    Broadcast,
     BroadcastChanged,
     Command,
     OperatorData,
@@ -27,7 +28,7 @@ from companion.events import (
     Severity,
 )
 from companion.ownship import Ownship
-from companion.remote_id.messages import IdType, Location, Message, OperatorId, System
+from companion.remote_id.messages import Message
 
 MAX_RATE = 10
 """Largest number of Locations a second."""
@@ -142,12 +143,18 @@ class Broadcaster:
         if own.heartbeat is None:
             return commands
         rates: Mapping[str, int] = {}
-        messages = self._messages(own, now_s)
-        self._lacking = _lacking(self._config, messages)
+        config = self._config
+        self._lacking = lacking(config.identity, config.remote_id, config.region, own, self._operator, now_s)
         if not self.gives_way:
             self._started = self._started or (self._decided.legal and bool(self._decided.rates))
             rates = self._decided.rates if self._started else {}
-            commands += self._schedule.due(rates, can_send, radio.wifi_channel, messages, now_s)
+            kinds = kinds_of(config.remote_id, self._operator)
+            due = self._schedule.due(rates, can_send, radio.wifi_channel, kinds, now_s)
+            messages = self._messages(own, now_s) if due else ()
+            commands += [
+                Broadcast(transport=transport, messages=tuple(m for m in messages if type(m) in sent))
+                for transport, sent in due
+            ]
         self._log(rates, commands)
         self._tell_pilot(commands, now_s)
         self._tell_lacking(own, commands, now_s)
@@ -225,18 +232,3 @@ class Broadcaster:
         if status != self._arm_status:
             self._arm_status = status
             commands.append(status)
-
-
-def _lacking(config: Config, messages: tuple[Message, ...]) -> str | None:
-    """Data that the messages lack for take-off, in the words that ground stations know from Remote ID
-    modules."""
-    if config.identity.id_type is IdType.NONE:
-        return "missing basic_id message"
-    for message in messages:
-        if isinstance(message, Location) and message.lat_deg is None:
-            return "missing location message"
-        if isinstance(message, System) and message.operator_lat_deg is None:
-            return "missing operator location"
-    if config.region.operator_id_required and not any(isinstance(m, OperatorId) for m in messages):
-        return "missing operator_id message"
-    return None

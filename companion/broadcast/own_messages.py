@@ -106,16 +106,53 @@ def messages_of(
     location = location_of(own, now_s, region.location_max_age_s)
     if failed:
         location = msgspec.structs.replace(location, status=Status.REMOTE_ID_SYSTEM_FAILURE)
-    messages += (location, system_of(own, config, operator, now_s))
+    return (*messages, location, system_of(own, config, operator, now_s), *_further(config, operator))
+
+
+def kinds_of(config: RemoteIdConfig, operator: Operator) -> frozenset[type[Message]]:
+    """Kinds of the messages of `messages_of`, without making them."""
+    return frozenset((BasicId, Location, System, *map(type, _further(config, operator))))
+
+
+def lacking(
+    identity: IdentityConfig,
+    config: RemoteIdConfig,
+    region: Region,
+    own: Ownship,
+    operator: Operator,
+    now_s: float,
+) -> str | None:
+    """What the messages lack for take-off, in the words that ground stations know from Remote ID modules;
+    None if nothing is missing."""
+    if identity.id_type is IdType.NONE:
+        return "missing basic_id message"
+    if not _is_located(own, now_s, region.location_max_age_s):
+        return "missing location message"
+    if operator.system(now_s) is None and own.takeoff is None:
+        return "missing operator location"
+    if region.operator_id_required and config.operator_id is None and operator.operator_id is None:
+        return "missing operator_id message"
+    return None
+
+
+def _further(config: RemoteIdConfig, operator: Operator) -> list[Message]:
+    """Messages besides Basic ID, Location and System: the configured ones, else those of the operator."""
+    found: list[Message] = []
     if config.self_id is not None:
-        messages.append(SelfId(description_type=0, text=config.self_id))
+        found.append(SelfId(description_type=0, text=config.self_id))
     elif operator.self_id is not None:
-        messages.append(operator.self_id)
+        found.append(operator.self_id)
     if config.operator_id is not None:
-        messages.append(OperatorId(operator_id_type=0, operator_id=public_operator_id(config.operator_id)))
+        found.append(OperatorId(operator_id_type=0, operator_id=public_operator_id(config.operator_id)))
     elif operator.operator_id is not None:
-        messages.append(operator.operator_id)
-    return tuple(messages)
+        found.append(operator.operator_id)
+    return found
+
+
+def _is_located(own: Ownship, now_s: float, max_age_s: float) -> bool:
+    """Whether the own position is known well enough to be broadcast."""
+    gnss = own.gnss
+    return own.age_s(now_s) <= max_age_s and (gnss is None or gnss.fix_type >= 2)
 
 
 def location_of(own: Ownship, now_s: float, max_age_s: float) -> Location:
@@ -125,8 +162,8 @@ def location_of(own: Ownship, now_s: float, max_age_s: float) -> Location:
     that the timestamp's resolution adds no error. A position that is too old is left out and the status
     reports a system failure: sending nothing would look like an empty sky.
     """
-    position, gnss = own.position, own.gnss
-    if position is None or own.age_s(now_s) > max_age_s or (gnss is not None and gnss.fix_type < 2):
+    position = own.position
+    if position is None or not _is_located(own, now_s, max_age_s):
         return Location(status=Status.REMOTE_ID_SYSTEM_FAILURE)
     landed = own.landed(now_s)
     accuracy = own.gnss_now(now_s)

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from companion.broadcast.legal_floor import MARGIN, longest_period_s
-from companion.events import Broadcast
 from companion.remote_id.messages import BasicId, Location, Message, System
 from companion.remote_id.region import Region
 from companion.remote_id.transports import BLE4
@@ -68,16 +67,16 @@ class Schedule:
         rates: Mapping[str, int],
         can_send: frozenset[str],
         wifi_channel: int | None,
-        messages: tuple[Message, ...],
+        kinds: frozenset[type[Message]],
         now_s: float,
-    ) -> list[Broadcast]:
-        """Broadcasts to send now.
+    ) -> list[tuple[str, frozenset[type[Message]]]]:
+        """Transports to send on now, each with the kinds of messages to send there.
 
         Args:
             rates: transports to be on the air, with their Locations a second.
             can_send: transports that work at all.
             wifi_channel: channel of the beacons; None while unknown.
-            messages: everything to be broadcast at this time: a Location, and at most eight others.
+            kinds: kinds of all messages that there are at this time, Location among them.
             now_s: not before the last call's.
         """
         if self._last_s is not None:
@@ -86,22 +85,18 @@ class Schedule:
             self._step_s = min(max(now_s - self._last_s, 0.9 * self._step_s), _LONGEST_STEP_S)
         self._last_s = now_s
         self._change(rates, can_send, now_s)
-        broadcasts = []
-        present = frozenset(map(type, messages))
+        found = []
         for transport, lane in self._lanes.items():
-            key = transport, wifi_channel, present
+            key = transport, wifi_channel, kinds
             if key not in self._limits:
                 self._limits[key] = self._limits_s(*key)
-            limits_s = self._limits[key]
-            kinds = self._due_kinds(transport, lane, limits_s, now_s)
-            if kinds and transport != BLE4:
-                kinds = set(present)
-            if kinds:
-                lane.sent_s.update(dict.fromkeys(kinds, now_s))
-                part = tuple(message for message in messages if type(message) in kinds)
-                broadcasts.append(Broadcast(transport=transport, messages=part))
+            due = self._due_kinds(transport, lane, self._limits[key], now_s)
+            if due:
+                sent = frozenset(due) if transport == BLE4 else kinds
+                lane.sent_s.update(dict.fromkeys(sent, now_s))
+                found.append((transport, sent))
         self._leave(now_s)
-        return broadcasts
+        return found
 
     def _change(self, rates: Mapping[str, int], can_send: frozenset[str], now_s: float) -> None:
         for transport in [t for t in self._lanes if t not in can_send]:

@@ -63,7 +63,7 @@ def neighbours_of(
     signalled = [
         _signalled(other, track.signal.suspicion)
         for other, track in zip(present, tracks, strict=True)
-        if kernels.is_beside(track.signal.suspicion.beside)
+        if track.signal.suspicion.beside > kernels.BESIDE
     ]
     aside = [
         (loss_s(belief), f"{other.track_id}{ASIDE}{number}", other, belief)

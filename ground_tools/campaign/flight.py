@@ -388,7 +388,7 @@ def _look(
         k.put_other(mind.neighbours, count, known)
         mind.senders[count] = j
         count += 1
-        if world.signal != 0.0 and k.is_beside(powers.suspicion[i, j, S_BESIDE]):
+        if world.signal != 0.0 and powers.suspicion[i, j, S_BESIDE] > k.BESIDE:
             said = powers.suspicion[i, j]
             k.put_other(mind.neighbours, count, known)
             row = mind.neighbours[count]

@@ -54,9 +54,9 @@ from companion.avoidance.kernels.neighbours import (
     silent_after,
 )
 from companion.avoidance.kernels.powers import (
+    BESIDE,
     HYPOTHESES,
     OFFSETS,
-    is_beside,
     note_power,
     suspicion,
 )
@@ -112,6 +112,7 @@ from companion.avoidance.kernels.walls import (
 )
 
 __all__ = [
+    "BESIDE",
     "BOUNDARY_LAG_S",
     "BRAKES",
     "DMUCA",
@@ -167,7 +168,6 @@ __all__ = [
     "half_space",
     "in_reach",
     "inside",
-    "is_beside",
     "limit",
     "minus",
     "nearest_of_wall",

@@ -30,7 +30,7 @@ from companion.avoidance.kernels.neighbours import (
     note_track,
     silent_after,
 )
-from companion.avoidance.kernels.powers import HYPOTHESES, is_beside, note_power, suspicion
+from companion.avoidance.kernels.powers import HYPOTHESES, note_power, suspicion
 from companion.avoidance.kernels.programs import EPSILON, solve
 from companion.avoidance.kernels.settings import (
     DMUCA,
@@ -340,7 +340,6 @@ def warm_up() -> None:
     powers = np.zeros(HYPOTHESES)
     note_power(powers, np.zeros((2, HYPOTHESES)), np.zeros(3), 0.0, 0.0, 0.0, 0.0, 0.0)
     suspicion(powers)
-    is_beside(0.0)
     path_position(*path, 0.0)
     path_nearest(*path, 0.0, 0.0, 0.0)
     inside(np.zeros((1, NO_WALLS.shape[1])), 0, 1, Point(0.0, 0.0))

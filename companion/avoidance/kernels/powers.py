@@ -38,9 +38,9 @@ constant."""
 _SLOPE_DB: Final = 20.0 / math.log(10.0)
 _LEAST_M: Final = 2.0
 """Distances below this count as this: antennas are not points."""
-_BESIDE: Final = math.log(1.5)
-"""Log likelihood ratio above which the place that the powers point to is avoided as well. Honest senders
-reach it in less than 1 % of the time if the model holds."""
+BESIDE: Final = math.log(1.5)
+"""Log likelihood ratio of the offsets (`suspicion`) above which the place that the powers point to is avoided
+as well. Honest senders reach it in less than 1 % of the time if the model holds."""
 
 
 def _grid() -> Floats:
@@ -139,13 +139,3 @@ def suspicion(log: Floats) -> tuple[float, float, float, float]:
     high = max(beside, log[_PLACES])
     ratio = high + math.log(0.5 * math.exp(beside - high) + 0.5 * math.exp(log[_PLACES] - high))
     return ratio, beside, north / total, east / total
-
-
-@compiled
-def is_beside(ratio: float) -> bool:
-    """Whether a sender is also avoided at the place that its powers point to.
-
-    Args:
-        ratio: log likelihood ratio of the offsets, from `suspicion`.
-    """
-    return ratio > _BESIDE

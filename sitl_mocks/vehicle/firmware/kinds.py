@@ -245,6 +245,8 @@ def with_quirks(manners: Manners, quirks: Mapping[str, object]) -> Manners:
     Raises:
         ConfigError: a name is unknown, or a value is not of the field's type. Tables cannot be changed.
     """
+    if not quirks:
+        return manners
     kinds = get_type_hints(Manners)
     given: dict[str, Any] = {}
     for name, value in quirks.items():

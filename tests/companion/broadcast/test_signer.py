@@ -60,7 +60,9 @@ def flown(seconds, rates, signer, region=US):
     schedule = Schedule(region, "X")
     for step in range(round(seconds / STEP_S)):
         t = step * STEP_S
-        core = schedule.due(rates, frozenset(rates), 6, messages_at(t), t)
+        messages = messages_at(t)
+        due = schedule.due(rates, frozenset(rates), 6, frozenset(map(type, messages)), t)
+        core = [Broadcast(transport=to, messages=tuple(m for m in messages if type(m) in k)) for to, k in due]
         yield t, core, core if signer is None else signer.add(core, t, UTC_S + t)
 
 

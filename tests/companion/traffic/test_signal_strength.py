@@ -57,7 +57,7 @@ def share(number: int, seed: int, says, **of) -> float:
 
 
 def is_beside(found: Suspicion) -> bool:
-    return kernels.is_beside(found.beside)
+    return found.beside > kernels.BESIDE
 
 
 def test_at_most_one_honest_encounter_in_a_hundred_is_suspected() -> None:

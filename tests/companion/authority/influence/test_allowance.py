@@ -199,10 +199,18 @@ def test_what_is_remembered_is_bounded():
     sky = Sky()
     sky.all.admitted(0.0, ZERO, ZERO, [other("A")])
     for n in range(30):
-        sky.all.admitted(1.0, ZERO, ZERO, [other(f"{n}/{m}") for m in range(100)])
+        sky.all.admitted(1.0 + 0.2 * n, ZERO, ZERO, [other(f"{n}/{m}") for m in range(100)])
     assert len(sky.all._tracks) == 1000
     sky.all.admitted(100.0, ZERO, ZERO, [])
     assert not sky.all._tracks
+
+
+def test_all_that_are_heard_at_once_are_remembered():
+    """`traffic.max_tracks` may exceed what is remembered of the silent. Each has its charge all the same."""
+    crowd = [other(f"A{n}", at=(1.0, 0.0, 0.0)) for n in range(1200)]
+    sky = Sky()
+    assert len(sky.run(1.0, *crowd)) == 1200
+    assert sum(known.entered for known in sky.all._tracks.values()) == 1200
 
 
 def test_another_place_of_a_track_has_no_allowance_of_its_own():

@@ -66,7 +66,7 @@ def test_likelihoods_that_no_float_can_hold_are_weighed() -> None:
         ratio, beside, north, east = k.suspicion(powers)
         assert ratio == pytest.approx(log) == beside
         assert (north, east) == pytest.approx((0.0, 0.0), abs=1e-9)
-        assert k.is_beside(beside) == (log > 0.0)
+        assert (beside > k.BESIDE) == (log > 0.0)
 
 
 def test_offsets_surround_the_reported_place() -> None:
