@@ -80,7 +80,7 @@ class Decider:
         situation = self._situation(now_s, admitted)
         result = law.decide(situation)
         back = state is State.GUARDING
-        self.allowances.charge(now_s, here, velocity, result, admitted, held=held, back=back)
+        self.allowances.charge(now_s, here, velocity, result, held=held, back=back)
         crewed = {(other.adsb, other.track_id) for other in admitted if other.crewed}
         conflicts = any(view.conflict and (view.adsb, view.track_id) in crewed for view in result.tracks)
         self._containment.note_conflict(now_s, crewed=conflicts)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-
-import numpy as np
 
 from companion.avoidance.law import Law
 from companion.config import LimitsConfig
@@ -36,8 +35,8 @@ class Course:
         """Places of the whole mission or path (local NED, m); none: not known."""
         self.heights_m: tuple[float, ...] = ()
         """Heights of those places above home."""
-        self.profile: tuple[tuple[float, float], ...] = ()
-        """Path that is flown, as time on the path's clock and height above home of each of its points."""
+        self._profile: tuple[Sequence[float], Sequence[float]] = (), ()
+        """Path that is flown: times on the path's clock, and heights above home, of its points."""
 
     def begin(self, law: Law, home_alt_msl_m: float, start_s: float | None) -> None:
         """Begin a flight. The home altitude stays fixed, even if the autopilot corrects it later.
@@ -46,13 +45,20 @@ class Course:
             start_s: monotonic time of the path's time 0; None to start the clock with `engage`.
         """
         self.law, self.home_alt_msl_m, self.start_s = law, home_alt_msl_m, start_s
-        self.places, self.heights_m, self.profile = (), (), ()
+        self.places, self.heights_m, self._profile = (), (), ((), ())
 
     def lead(
         self, places: Sequence[Vec3], heights_m: Sequence[float], profile: Sequence[tuple[float, float]]
     ) -> None:
-        """Take in where the flight leads. The arguments are the attributes of those names."""
-        self.places, self.heights_m, self.profile = tuple(places), tuple(heights_m), tuple(profile)
+        """Take in where the flight leads.
+
+        Args:
+            places, heights_m: the attributes of those names.
+            profile: the path that is flown: time on the path's clock, which grows, and height above home of
+                each point.
+        """
+        self.places, self.heights_m = tuple(places), tuple(heights_m)
+        self._profile = [time_s for time_s, _ in profile], [height_m for _, height_m in profile]
 
     def end(self) -> None:
         """End the flight."""
@@ -84,13 +90,23 @@ class Course:
 
     def leg_heights_m(self, now_s: float) -> tuple[float, float] | None:
         """Least and greatest height above home of the present leg; None if it is not known. Needs a law."""
-        if not self.profile:
+        times, heights = self._profile
+        if not times:
             return None
-        times, heights = zip(*self.profile, strict=True)
         now = self.path_time_s(now_s) - self.late_s
-        ends = np.interp((now - LEG_S, now + LEG_S), times, heights).tolist()
-        within = [h for t, h in self.profile if abs(t - now) < LEG_S]
-        return min(*ends, *within), max(*ends, *within)
+        within = heights[bisect_right(times, now - LEG_S) : bisect_left(times, now + LEG_S)]
+        leg = [self._height_m(now - LEG_S), self._height_m(now + LEG_S), *within]
+        return min(leg), max(leg)
+
+    def _height_m(self, path_time_s: float) -> float:
+        """Height of the path at a time, that of its nearest end before and after it."""
+        times, heights = self._profile
+        after = bisect_right(times, path_time_s)
+        if after == 0 or after == len(times):
+            return heights[after and -1]
+        before = after - 1
+        slope = (heights[after] - heights[before]) / (times[after] - times[before])
+        return slope * (path_time_s - times[before]) + heights[before]
 
     def floor_height_m(self, limits: LimitsConfig) -> float:
         """Height of the floor above home: the configured one, else the default.

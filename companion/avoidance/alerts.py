@@ -106,6 +106,8 @@ class _Watched:
     told_s: float = -math.inf
     """Time of the last COLLISION message (monotonic); -inf if none was sent since the last end of an
     alert."""
+    settled: bool = False
+    """The last `RAISE_IN` judgements were of this level."""
     said: Level = Level.NONE
     """Level of the last text about it; NONE again once the level falls below caution."""
 
@@ -113,8 +115,9 @@ class _Watched:
         """Process the level judged now; True if the alert level changed."""
         seen, before = self.seen, self.level
         seen.append(level)
-        if level is before and seen.count(level) == len(seen):
-            # Nothing has changed for a while, as for most aircraft at most times.
+        same = level is before and seen.count(level) == len(seen)
+        self.settled = same and len(seen) == RAISE_IN
+        if same:
             self.held_s, self.below = now_s, _NONE
             return False
         agreed = sorted(seen, reverse=True)[RAISE_OF - 1] if len(seen) >= RAISE_OF else Level.NONE
@@ -169,10 +172,8 @@ class Alerts:
         limits = () if result is None else result.limits
         commands: list[Command] = []
         ended: list[_Watched] = []
-        gone = set(self._watched)
-        for other in neighbours:
-            key = (other.adsb, other.track_id)
-            gone.discard(key)
+        present = {(other.adsb, other.track_id): other for other in neighbours}
+        for key, other in present.items():
             view = views.get(key)
             conflict, active = (False, False) if view is None else (view.conflict, view.active)
             way = self._approach(position, velocity, other)
@@ -180,10 +181,13 @@ class Alerts:
             if watched is None:
                 watched = self._watched[key] = _Watched(other, way)
             watched.other, watched.way, watched.acting = other, way, conflict and active
-            if watched.look(self._level(other, way, conflict, active), now_s):
+            level = self._level(other, way, conflict, active)
+            if watched.settled and level is watched.level:
+                watched.held_s = now_s
+            elif watched.look(level, now_s):
                 commands.append(_changed(watched, limits))
                 ended += [watched] if watched.level < Level.CAUTION else []
-        for key in sorted(gone):
+        for key in sorted(self._watched.keys() - present.keys()):
             watched = self._watched.pop(key)
             if watched.level is not Level.NONE:
                 watched.level, watched.acting = Level.NONE, False

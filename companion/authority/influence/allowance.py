@@ -66,9 +66,8 @@ class _Acting(NamedTuple):
     """A track that bends our way now."""
 
     known: Remembered
-    other: Neighbour
     blocks: bool
-    """In conflict, at one of its places at least."""
+    """It is in conflict; otherwise it only bounds the velocity."""
 
 
 class Allowances:
@@ -122,23 +121,26 @@ class Allowances:
                 key = other.adsb, other.track_id.partition(ASIDE)[0]
             known = tracks.get(key) or self._met(now_s, key, other)
             if key is place:
-                known.follows = self._followers.hear(now_s, place, here, velocity, other)
+                known.latest = other
+                known.follows = key in self._followers and self._followers.hear(
+                    now_s, key, here, velocity, other
+                )
                 known.see(now_s, _predicted(other))
             places[place] = known
         self._forget(now_s)
         return [
             other
             for other in neighbours
-            if other.proven or self._counts(now_s, other, places[other.adsb, other.track_id])
+            if other.proven or self._counts(now_s, places[other.adsb, other.track_id])
         ]
 
     def _met(self, now_s: float, key: Key, other: Neighbour) -> Remembered:
-        known = self._tracks[key] = Remembered(key, now_s, now_s, _predicted(other), now_s)
+        known = self._tracks[key] = Remembered(key, other, now_s, now_s, _predicted(other), now_s)
         return known
 
-    def _counts(self, now_s: float, other: Neighbour, known: Remembered) -> bool:
+    def _counts(self, now_s: float, known: Remembered) -> bool:
         """Whether an unproven track is to be avoided."""
-        config = self._config
+        config, other = self._config, known.latest
         if known.stands(now_s):
             return True
         if other.crewed:
@@ -162,7 +164,6 @@ class Allowances:
         here: Vec3,
         velocity: Vec3,
         result: LawResult,
-        neighbours: Iterable[Neighbour],
         *,
         held: bool,
         back: bool,
@@ -171,39 +172,34 @@ class Allowances:
 
         Args:
             here, velocity: own position and velocity (NED, m and m/s).
-            result: decision that was just made.
-            neighbours: those that the law was given, from the latest call of `admitted`.
+            result: decision of the law about those that `admitted` has just returned.
             held: whether the companion flies the vehicle.
             back: whether the aircraft is on its path without a conflict. Its time is then charged only if a
                 mission is guarded, which is given back later.
         """
         passed_s = min(now_s - self._charged_s, _STEP_S) if held else 0.0
         self._charged_s = now_s
-        tracks: dict[Key, Neighbour] = {}
-        for other in neighbours:  # a track comes before the other places where it may be
-            if not other.proven:
-                tracks.setdefault(self._places[other.adsb, other.track_id].key, other)
         acting: list[_Acting] = []
         inside: set[Remembered] = set()
         for view in result.tracks:
             known = self._places.get((view.adsb, view.track_id))
-            track = None if known is None else tracks.get(known.key)
-            if known is None or track is None:
+            if known is None:
                 continue
-            if not track.crewed and _is_inside(here, view):
+            if not known.latest.crewed and _is_inside(here, view):
                 inside.add(known)
             if held and (view.conflict or view.active):
-                acting.append(_Acting(known, track, view.conflict))
+                acting.append(_Acting(known, view.conflict))
         self._enter(now_s, inside)
-        for known, other, _ in acting:
-            self._conflict_s[other.crewed] = now_s
-            self._followers.conflict(now_s, known.key, here, velocity, other)
-        self._charge_tracks(now_s, passed_s, [each for each in acting if not each.other.crewed], inside)
+        for known, _ in acting:
+            self._conflict_s[known.latest.crewed] = now_s
+            self._followers.conflict(now_s, known.key, here, velocity, known.latest)
+        charged = [known for known, _ in acting if not known.latest.crewed]
+        self._charge_tracks(now_s, passed_s, charged, inside)
         counts = held and (self._guards or not back)
         self._charge_totals(now_s, passed_s if counts else 0.0)
         self._squeeze(now_s, here, result)
         self.hold = self._why_hold(
-            [other for known, other, blocks in acting if blocks and self._counts(now_s, other, known)]
+            [known.latest for known, blocks in acting if blocks and self._counts(now_s, known)]
         )
 
     def _enter(self, now_s: float, inside: Iterable[Remembered]) -> None:
@@ -218,6 +214,8 @@ class Allowances:
     def _squeeze(self, now_s: float, here: Vec3, result: LawResult) -> None:
         """Note whether tracks that press are to be left out, because another track is near or in conflict."""
         going_on = now_s - self._squeezed_s < _SQUEEZED_S
+        if not going_on and not any(known.presses for known in self._places.values()):
+            return
         pressing: dict[Remembered, None] = {}
         others: list[TrackView] = []
         for view in result.tracks:
@@ -226,33 +224,29 @@ class Allowances:
                 pressing[known] = None
             else:
                 others.append(view)
-        if not (pressing or going_on):
-            return
         close = [
             view
             for view in others
             if view.conflict or view.active or math.dist(view.position_ned_m, here) < _NEAR_M
         ]
-        if not close:
+        if not close or not (pressing or going_on):
             return
         self._squeezed_s = now_s
-        if pressing and not going_on:
+        if not going_on:
             name = close[0].track_id.partition(ASIDE)[0]
             left_out = ", ".join(known.key[1] for known in pressing)
             text = f"{left_out} left out, as {name} is near"
             self._told.append(AllowanceSpent(scope="squeeze", track_id=name, text=text))
 
     def _charge_tracks(
-        self, now_s: float, passed_s: float, acting: Sequence[_Acting], inside: Container[Remembered]
+        self, now_s: float, passed_s: float, charged: Sequence[Remembered], inside: Container[Remembered]
     ) -> None:
         config = self._config
-        groups = {each.other.group for each in acting if each.other.group}
-        charged = {each.known for each in acting}
+        groups = {known.latest.group for known in charged if known.latest.group}
+        acting = set(charged)
         going_on = now_s - self._squeezed_s < _SQUEEZED_S
-        for known in self._tracks.values():
-            acts = known in charged
-            if not (acts or known.pressed_s or known.used.used_s):
-                continue
+        for known in [k for k in self._tracks.values() if k.used.used_s or k.pressed_s or k in acting]:
+            acts = known in acting
             within = acts and known in inside
             if within:
                 known.pressed_s += passed_s
@@ -268,7 +262,7 @@ class Allowances:
         for name in groups:
             group = self._groups.setdefault(name, Used())
             if group.charge(now_s, passed_s, config.group_s, config.refill_s) and group.spent:
-                one = acting[0].known.key[1]
+                one = charged[0].key[1]
                 text = f"tracks like {one} have held us for {config.group_s:g} s"
                 self._tell_spent("group", f"{text}: each is avoided for less", one)
         for name, group in self._groups.items():

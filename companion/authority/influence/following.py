@@ -86,6 +86,10 @@ class Followers:
     def __init__(self) -> None:
         self._conflicts: dict[Hashable, _Conflict] = {}
 
+    def __contains__(self, key: Hashable) -> bool:
+        """Whether a conflict with the track is remembered."""
+        return key in self._conflicts
+
     def hear(self, now_s: float, key: Hashable, own: Vec3, own_mps: Vec3, other: Neighbour) -> bool:
         """Take in the state of a track, in conflict or not; True if it follows.
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from companion.avoidance.law import Neighbour
 from companion.geometry import Vec3
 
 WHOLE = 0.5
@@ -43,6 +44,8 @@ class Remembered:
     """What is remembered of a track."""
 
     key: Key
+    latest: Neighbour
+    """The track at the latest decision that it was heard for."""
     first_s: float
     heard_s: float
     anchor: Vec3

@@ -58,7 +58,7 @@ class Sky:
                 for o in admitted
             )  # fmt: skip
             result = LawResult(ZERO, ZERO, True, bool(views), False, (), views)
-            self.all.charge(self.now_s, ZERO, ZERO, result, admitted, held=held, back=back)
+            self.all.charge(self.now_s, ZERO, ZERO, result, held=held, back=back)
             self.told += self.all.told()
             self.hold = self.hold or self.all.hold
         return [o.track_id for o in admitted]
