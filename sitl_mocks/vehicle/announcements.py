@@ -34,8 +34,7 @@ class Announcer:
         self._links = links
         self._flight = flight
         self._telemetry = telemetry
-        self._books = books
-        self._remote_id = remote_id
+        self._speakers = (flight, *(() if remote_id is None else (remote_id,)), *books)
         self._shown_mode = flight.mode
         self._shown_armed = flight.armed
         self._status_s = -math.inf
@@ -53,11 +52,11 @@ class Announcer:
             self.publish_status(now_s)
             if flight.armed:
                 self._links.send(self._telemetry.home_position(now_s))
-        relay = [] if self._remote_id is None else [self._remote_id.texts]
-        for texts in (flight.texts, *relay, *(book.texts for book in self._books)):
-            for severity, text in texts:
-                self.say(severity, text)
-            texts.clear()
+        for speaker in self._speakers:
+            if speaker.texts:
+                for severity, text in speaker.texts:
+                    self.say(severity, text)
+                speaker.texts.clear()
         if runner.reached or runner.texts:
             for seq in runner.reached:
                 self._links.send(mavlink.MAVLink_mission_item_reached_message(seq))
