@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Final
 
 from rich.console import Console
 
+from companion.errors import ConfigError
 from ground_tools.channel import options
 from ground_tools.common.progress import progress
 from ground_tools.paper.closed_loop import command as closed_loop
@@ -24,6 +26,7 @@ from ground_tools.paper.figures import (
     dmuca,
     dmuca_flights,
     dmuca_picture,
+    dmuca_sweep,
     fixed_modes,
     packet_loss,
     system_delay,
@@ -31,6 +34,10 @@ from ground_tools.paper.figures import (
 )
 from ground_tools.paper.report import Report, json_rows, show
 from ground_tools.paper.study import Study
+
+_MAX_PROCESSES: Final = 1024
+_PIPED_WIDTH: Final = 160
+"""Width of tables that do not go to a terminal, so that no column is cut."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +141,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print one JSON object per line instead of tables"
     )
+    parser.add_argument(
+        "--sweep",
+        action="store_true",
+        help=f"dmuca: fly {len(dmuca_sweep.READINGS)} readings of what the paper leaves open, and draw a map "
+        "of those under which its figure comes out; finished readings are kept in --out",
+    )
+    parser.add_argument(
+        "--processes",
+        type=int,
+        metavar="N",
+        help=f"--sweep and {closed_loop.NAME}: worker processes (default: one per core)",
+    )
     closed_loop.add_arguments(parser)
 
 
@@ -143,9 +162,19 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ConfigError: an option is wrong, a picture cannot be written, or matplotlib is missing.
     """
+    if args.sweep and args.figure != "dmuca":
+        raise ConfigError(f"--sweep: only the figure dmuca has one, not {args.figure}")
+    if args.processes is not None and not 1 <= args.processes <= _MAX_PROCESSES:
+        raise ConfigError(f"--processes: {args.processes} is out of range; allowed: 1 to {_MAX_PROCESSES}")
     if args.figure == closed_loop.NAME:
         return closed_loop.run(args)
     options.check_sampling(args.samples, args.seed)
+    if args.sweep:
+        options.make_folder(args.out)
+        words, processes = _console(args), args.processes or os.cpu_count() or 1
+        path, swept = dmuca_sweep.run(args.out, args.samples, args.seed, processes, words)
+        _print(args, dmuca_sweep.NAME, swept, path, words)
+        return 0
     chosen = [figure for figure in FIGURES if args.figure in (figure.name, "all")]
     study = Study(args.samples, args.seed)
     options.make_folder(args.out)
@@ -159,12 +188,21 @@ def run(args: argparse.Namespace) -> int:
             # The picture comes first, so that a missing matplotlib is reported before the computation.
             figure.draw(study, path)
             found.append((figure, figure.report(study), path))
-    words = Console(stderr=args.json)
+    words = _console(args)
     for figure, report, path in found:
-        if args.json:
-            for row in json_rows(figure.name, report):
-                print(json.dumps(row, allow_nan=False))
-        else:
-            show(report, words)
-        words.print(f"wrote {path}", soft_wrap=True, highlight=False)
+        _print(args, figure.name, report, path, words)
     return 0
+
+
+def _console(args: argparse.Namespace) -> Console:
+    words = Console(stderr=args.json)
+    return words if words.is_terminal else Console(stderr=args.json, width=_PIPED_WIDTH)
+
+
+def _print(args: argparse.Namespace, name: str, report: Report, path: Path, words: Console) -> None:
+    if args.json:
+        for row in json_rows(name, report):
+            print(json.dumps(row, allow_nan=False))
+    else:
+        show(report, words)
+    words.print(f"wrote {path}", soft_wrap=True, highlight=False)

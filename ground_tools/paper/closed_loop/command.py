@@ -87,7 +87,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"encounters side by side in the condition {DENSE} (default: {CROWD}, about 36 aircraft)",
     )
-    group.add_argument("--processes", type=int, metavar="N", help="worker processes (default: one per core)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -129,9 +128,8 @@ def _check(args: argparse.Namespace) -> None:
     for key, value, most in (
         ("encounters", args.encounters, _MAX_ENCOUNTERS),
         ("crowd", args.crowd, MAX_SIDE_BY_SIDE),
-        ("processes", args.processes, 1024),
     ):
-        if value is not None and not 1 <= value <= most:
+        if not 1 <= value <= most:
             raise ConfigError(f"--{key}: {value} is out of range; allowed: 1 to {most}")
 
 

@@ -20,11 +20,11 @@ from companion.arrays import Floats
 from companion.avoidance.kernels import NO_WALLS
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
-from companion.config import LimitsConfig
+from companion.config import AvoidanceConfig, LimitsConfig
 from ground_tools.campaign import flight, outcome, vehicles
 from ground_tools.campaign.cells import LAWS, SEPARATION_M, WORLDS, Law
 from ground_tools.campaign.world import World
-from sitl_mocks.encounters.scenario import DURATION_S, encounter
+from sitl_mocks.encounters.scenario import DURATION_S, Kind, encounter
 
 Air = Literal["exact", "noisy"]
 
@@ -72,12 +72,30 @@ def fly(case: Case, seed: int) -> tuple[Floats, Floats]:
     Returns:
         Times in s, shape (steps,), and true positions, shape (steps, AIRCRAFT, 3), NED in m.
     """
-    rows = np.array(encounter("S2", AIRCRAFT, seed))
+    trace, _ = flown(LAWS[case.law], IN[case.air], case.delay_s, seed)
+    return IN[case.air].step_s * np.arange(1.0, len(trace) + 1.0, dtype=np.float64), trace
+
+
+def flown(
+    avoidance: AvoidanceConfig,
+    world: World,
+    delay_s: tuple[float, float],
+    seed: int,
+    geometry: Kind = "S2",
+) -> tuple[Floats, Floats]:
+    """Fly one flight with any parameters of the law.
+
+    Returns:
+        True positions, shape (steps, AIRCRAFT, 3), NED in m, and the least distance of each pair, shape
+        (pairs,), in the order of PAIRS, in m.
+    """
+    rows = np.array(encounter(geometry, AIRCRAFT, seed))
     times, points = np.ascontiguousarray(rows[:, :, 0]), np.ascontiguousarray(rows[:, :, 1:])
-    avoidance, limits = LAWS[case.law], LimitsConfig(max_speed_mps=SPEED_MPS)
+    limits = LimitsConfig(max_speed_mps=SPEED_MPS)
     paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
-    world = msgspec.structs.replace(IN[case.air], start_s=0.0, end_s=DURATION_S, delay_s=case.delay_s)
+    world = msgspec.structs.replace(world, start_s=0.0, end_s=DURATION_S, delay_s=delay_s)
     trace = np.zeros((round(DURATION_S / world.step_s), AIRCRAFT, 3))
+    pairs = np.zeros((AIRCRAFT, AIRCRAFT, outcome.PAIR_ENTRIES))
     flight.fly(
         np.random.default_rng([seed, 7]),
         world.conditions(avoidance.period_s),
@@ -88,10 +106,11 @@ def fly(case: Case, seed: int) -> tuple[Floats, Floats]:
         np.full(AIRCRAFT, float(vehicles.AVOIDS)),
         trace,
         flight.new_log(AIRCRAFT),
-        np.zeros((AIRCRAFT, AIRCRAFT, outcome.PAIR_ENTRIES)),
+        pairs,
         np.zeros(outcome.FLIGHT_ENTRIES),
     )
-    return world.step_s * np.arange(1.0, len(trace) + 1.0, dtype=np.float64), trace
+    first, second = np.triu_indices(AIRCRAFT, 1)  # in the order of PAIRS
+    return trace, np.array(pairs[second, first, outcome.P_SEPARATION])
 
 
 def gaps(places: Floats) -> Floats:
