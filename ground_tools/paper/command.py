@@ -18,6 +18,7 @@ from rich.console import Console
 from companion.errors import ConfigError
 from ground_tools.channel import options
 from ground_tools.common.progress import progress
+from ground_tools.paper import page
 from ground_tools.paper.closed_loop import command as closed_loop
 from ground_tools.paper.figures import (
     convergence,
@@ -29,6 +30,7 @@ from ground_tools.paper.figures import (
     dmuca_sweep,
     fixed_modes,
     packet_loss,
+    schematics,
     system_delay,
     uav_delay,
 )
@@ -57,6 +59,20 @@ class Figure:
 
 
 FIGURES: Final = (
+    Figure(
+        "framework",
+        "drawing of the framework",
+        lambda _: schematics.framework_report(),
+        lambda _, path: schematics.draw_framework(path),
+        0,
+    ),
+    Figure(
+        "radio-modes",
+        "drawing of the three radio modes, to scale",
+        lambda _: schematics.modes_report(),
+        lambda _, path: schematics.draw_modes(path),
+        0,
+    ),
     Figure("delay-rate", "delay against rate for each size", delay_rate.report, delay_rate.draw, 1),
     Figure("packet-loss", "loss against rate for each size", packet_loss.report, packet_loss.draw, 1),
     Figure(
@@ -136,7 +152,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("runs/paper"),
         metavar="FOLDER",
-        help="folder in which to write FIGURE.png (default: runs/paper)",
+        help="folder in which to write FIGURE.png, and for all a page with everything (default: runs/paper)",
     )
     parser.add_argument(
         "--json", action="store_true", help="print one JSON object per line instead of tables"
@@ -191,6 +207,11 @@ def run(args: argparse.Namespace) -> int:
     words = _console(args)
     for figure, report, path in found:
         _print(args, figure.name, report, path, words)
+    if args.figure == "all":
+        command = f"ground-tools paper %s --samples {args.samples} --seed {args.seed}"
+        sections = [page.Section(f.name, command % f.name, report, path) for f, report, path in found]
+        for path in page.write(args.out, sections):
+            words.print(f"wrote {path}", soft_wrap=True, highlight=False)
     return 0
 
 

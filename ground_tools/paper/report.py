@@ -82,16 +82,26 @@ class Report:
     numbers: tuple[Numbers, ...] = ()
 
 
-def show(report: Report, console: Console) -> None:
-    """Print a report for people."""
-    console.print(report.title, style="bold", highlight=False, soft_wrap=True)
-    for note in report.notes:
-        console.print(note, style="dim", highlight=False, soft_wrap=True)
+@dataclass(frozen=True, slots=True)
+class Printed:
+    """A table as text."""
+
+    title: str
+    """Empty if its columns say enough."""
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    numbers: bool
+    """Whether all columns but the first hold numbers."""
+
+
+def tables(report: Report) -> list[Printed]:
+    """All tables of a report: statements, comparisons, numbers."""
+    found = []
     if report.statements:
-        rows = [(s.published, s.ours, s.verdict) for s in report.statements]
-        console.print(_table(("published", "ours", "verdict"), rows))
+        rows = tuple((s.published, s.ours, s.verdict) for s in report.statements)
+        found.append(Printed("", ("published", "ours", "verdict"), rows, False))
     if report.comparisons:
-        numbers = [
+        compared = tuple(
             (
                 c.name,
                 f"{c.labels['rate']}",
@@ -102,13 +112,24 @@ def show(report: Report, console: Console) -> None:
                 "-" if c.ratio is None else f"{c.ratio:.3f}",
             )
             for c in report.comparisons
-        ]
+        )
         columns = ("mode", "rate", "sigma dB", "density", "published", "ours", "ratio")
-        console.print(_table(columns, numbers, right=True))
+        found.append(Printed("", columns, compared, True))
     for table in report.numbers:
-        console.print(table.title, style="bold", highlight=False, soft_wrap=True)
-        words = [tuple(_words(row[key]) for key in table.columns) for row in table.rows]
-        console.print(_table(tuple(table.columns.values()), words, right=True))
+        words = tuple(tuple(_words(row[key]) for key in table.columns) for row in table.rows)
+        found.append(Printed(table.title, tuple(table.columns.values()), words, True))
+    return found
+
+
+def show(report: Report, console: Console) -> None:
+    """Print a report for people."""
+    console.print(report.title, style="bold", highlight=False, soft_wrap=True)
+    for note in report.notes:
+        console.print(note, style="dim", highlight=False, soft_wrap=True)
+    for table in tables(report):
+        if table.title:
+            console.print(table.title, style="bold", highlight=False, soft_wrap=True)
+        console.print(_table(table.columns, table.rows, right=table.numbers))
 
 
 def _words(value: Value) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import html
 import json
 import math
 import sys
@@ -16,6 +18,7 @@ from ground_tools.paper.figures import delay_rate, fixed_modes, packet_loss
 from ground_tools.paper.study import SIDES_M, Study, curves_of
 from sitl_mocks.channel.parameters import ChannelParameters
 
+DRAWINGS = ["framework", "radio-modes"]
 NAMES = [
     "delay-rate",
     "packet-loss",
@@ -78,12 +81,34 @@ def test_all_figures_as_json(tmp_path, capsys):
     assert cli.main(["paper", "all", "--samples", "3", "--json", "--out", str(out)]) == 0
     text = capsys.readouterr().out
     rows = [json.loads(line) for line in text.splitlines()]
-    assert list(dict.fromkeys(row["figure"] for row in rows)) == NAMES == [f.name for f in FIGURES]
+    assert list(dict.fromkeys(row["figure"] for row in rows)) == NAMES
+    assert [*DRAWINGS, *NAMES] == [f.name for f in FIGURES]
     numbers = [row for row in rows if row["kind"] == "number" and row["figure"] == "fixed-modes"]
     assert len(numbers) == 2 * 4 * 3
     assert {round(row["sigma_db"], 3) for row in numbers} == {0.0, 2.449}
-    for name in NAMES:
+    for name in [*DRAWINGS, *NAMES]:
         assert (out / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    check_page(out, rows)
+
+
+def check_page(out, rows):
+    """Both pages show each picture, statement and command once; the CSV files hold every number."""
+    statements = [row for row in rows if row["kind"] == "statement"]
+    for text in ((out / "index.md").read_text(), html.unescape((out / "index.html").read_text())):
+        for name in [*DRAWINGS, *NAMES]:
+            assert text.count(f"{name}.png") == 1
+            assert text.count(f"ground-tools paper {name} --samples 3 --seed 1") == 1
+        for row in statements:
+            assert row["published"].replace("|", "\\|") in text or row["published"] in text
+        held = sum(row["holds"] for row in statements)
+        assert f"{held} of {len(statements)} statements hold" in text
+    for name in NAMES:
+        with (out / f"{name}.csv").open() as file:
+            found = list(csv.DictReader(file))
+        wanted = [row for row in rows if row["figure"] == name]
+        assert [row["kind"] for row in found] == [row["kind"] for row in wanted]
+        numbers = [(f["ours_ms"], w["ours_ms"]) for f, w in zip(found, wanted, strict=True) if "ours_ms" in w]
+        assert all(float(f or "nan") == w or w is None for f, w in numbers)
 
 
 def test_one_figure_for_people_is_no_error_where_statements_fail(tmp_path, capsys, monkeypatch):
