@@ -30,6 +30,7 @@ from ground_tools.paper.figures import (
     dmuca_sweep,
     fixed_modes,
     packet_loss,
+    readings,
     schematics,
     system_delay,
     uav_delay,
@@ -81,6 +82,14 @@ FIGURES: Final = (
         fixed_modes.report,
         fixed_modes.draw,
         len(fixed_modes.SIGMAS_DB),
+    ),
+    Figure(
+        "readings",
+        "the published delays under each reading of the channel model",
+        lambda study: readings.report(study.samples, study.seed),
+        lambda study, path: readings.draw(study.samples, study.seed, path, study.advance),
+        0,
+        len(readings.ALTERNATIVES),
     ),
     Figure(
         "convergence",

@@ -89,6 +89,11 @@ class Ble5Parameters(BleParameters, frozen=True, kw_only=True):
     """T_AUX: duration of the auxiliary packet."""
     auxiliary_uncertainty_ms: float = 0.0
     """O_U: greatest extra delay of the auxiliary packet."""
+    pointers: Literal["event", "interval"] = "event"
+    """Which auxiliary packet a received pointer announces in the equations. "event": that of its own event.
+    "interval": that in whose interval (T_GNSS / psi, counted from the GNSS sample) the pointer falls, which
+    is the paper's I_xi to the letter. Events are a little longer or shorter than these intervals.
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -173,6 +178,11 @@ class ChannelParameters(_Section, frozen=True, kw_only=True):
     """Delta: length of a slot."""
     gnss_period_ms: float = 1000.0
     """T_GNSS: time between GNSS samples."""
+    phases: Literal["redrawn", "same"] = "redrawn"
+    """Scan phases of the GNSS periods after the first one, in the equations with the schedule "coprime".
+    "redrawn": random. "same": that of the first one, which is the paper's sum to the letter. A phase at which
+    nothing can be received then counts as a delay of 0, the value of an empty sum.
+    """
     wifi_channels: Literal["shared", "random"] = "shared"
     """"shared": beacons of all aircraft use one channel, which fits the published delays. "random": each
     aircraft's channel is drawn from 1, 6, 11, as the paper's table states.

@@ -26,7 +26,7 @@ from companion.arrays import Floats
 from companion.atmc.actions import Action
 from sitl_mocks.channel.equations import carrier_sense
 from sitl_mocks.channel.equations.collision import background_survival, shares_of
-from sitl_mocks.channel.equations.delay import mean_delay_s, terms_of
+from sitl_mocks.channel.equations.delay import link_delay_s
 from sitl_mocks.channel.equations.half_duplex import deaf_shares_of
 from sitl_mocks.channel.link_budget import thresholds_db
 from sitl_mocks.channel.parameters import (
@@ -184,7 +184,7 @@ class TorchChannel:
                 delay = carrier_sense.delay_s(rate, alive, second, self.parameters)
             else:
                 other = np.ones(len(first)) if second is None else np.exp(second)
-                delay = mean_delay_s(terms_of(MODES[mode], rate, self.parameters), alive, other)
+                delay = link_delay_s(MODES[mode], rate, self.parameters, alive, other)
             columns.append(np.log(delay))
         table = np.stack(columns, 1) if columns else np.zeros((len(first), 0))
         return torch.tensor(table, dtype=torch.float32, device=self.device)

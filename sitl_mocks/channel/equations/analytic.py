@@ -15,7 +15,7 @@ from companion.errors import ConfigError
 from companion.remote_id.transports import WIFI_BEACON
 from sitl_mocks.channel.equations import carrier_sense
 from sitl_mocks.channel.equations.collision import background_survival, survival
-from sitl_mocks.channel.equations.delay import mean_delay_s, terms_of
+from sitl_mocks.channel.equations.delay import link_delay_s
 from sitl_mocks.channel.equations.half_duplex import log_hearing
 from sitl_mocks.channel.link_budget import Links, reached
 from sitl_mocks.channel.parameters import MODES, WIFI_CHANNELS, ChannelParameters, max_rates
@@ -148,8 +148,7 @@ class Analytic:
                     load = sensed[links.transmitter[at]]
                     delay[at, index] = carrier_sense.delay_s(rate, first[at], load, self.parameters)
                 elif len(at):
-                    terms = terms_of(mode, rate, self.parameters)
-                    delay[at, index] = mean_delay_s(terms, first[at], second[at])
+                    delay[at, index] = link_delay_s(mode, rate, self.parameters, first[at], second[at])
         return Evaluation(links, carried, delay, loss)
 
     def _sensed_load(self, links: Links, carried: Bools, fleet: Fleet) -> Floats | None:

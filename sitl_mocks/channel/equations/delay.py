@@ -1,8 +1,8 @@
 """Mean delay from a GNSS sample to the first message received: section "Average Transmission Delay Model".
 
 The paper sums over GNSS periods that all begin at the same phase t0 of the receiver's scan. A phase without a
-match would then never receive anything, and the sum would be undefined. Here the phase is therefore redrawn
-for every period. With F the probability that a period delivers nothing,
+match then never receives anything, and its sum is empty. Here the phase is therefore redrawn for every
+period, unless the parameters' `phases` is "same". With F the probability that a period delivers nothing,
 
     mean delay = (E[delay; something heard] + F T_GNSS) / (1 - F).
 
@@ -16,7 +16,7 @@ their own.
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -91,6 +91,30 @@ def terms_of(mode: str, rate: int, parameters: ChannelParameters) -> Terms:
     )
 
 
+@lru_cache(maxsize=1024)
+def _terms_by_phase(mode: str, rate: int, parameters: ChannelParameters) -> tuple[tuple[float, Terms], ...]:
+    """Share of the phases with the same tries, and their terms. Phases without a try are left out."""
+    slots, period_s = Slots(parameters), parameters.gnss_period_ms / 1000.0
+    by_phase = _tries(mode, rate, parameters)
+    found = []
+    for tries, count in sorted(Counter(tuple(tries) for tries in by_phase if tries).items()):
+        failed = np.zeros((len(tries) + 1, TRIES), np.int64)
+        for number, (pointers, _) in enumerate(tries):
+            failed[number + 1] = failed[number]
+            failed[number + 1, pointers - 1] += 1
+        terms = Terms(
+            failed=failed[:-1],
+            kind=np.array([pointers - 1 for pointers, _ in tries]),
+            weight=np.ones(len(tries)),
+            delay_s=np.array([slots.seconds(delay) for _, delay in tries]),
+            missed=failed[-1:],
+            missed_weight=np.ones(1),
+            period_s=period_s,
+        )
+        found.append((count / len(by_phase), terms))
+    return tuple(found)
+
+
 def _add_phases(mode: str, rate: int, parameters: ChannelParameters, hits: Hits, misses: Misses) -> None:
     """The paper's schedule: every phase of the scan cycle has a fixed sequence of tries."""
     slots, cycle = Slots(parameters), scan_of(mode, parameters).cycle
@@ -146,14 +170,31 @@ def _tries(mode: str, rate: int, parameters: ChannelParameters) -> list[list[tup
     )
     offsets = np.array(scan.packet_offsets)[matches.channel]
     pointers: dict[tuple[int, int], int] = defaultdict(int)
-    for phase, event in zip(
-        matches.phase.tolist(), ((matches.slot - offsets) // period).tolist(), strict=True
-    ):
+    events = matches.slot // interval if ble5.pointers == "interval" else (matches.slot - offsets) // period
+    for phase, event in zip(matches.phase.tolist(), events.tolist(), strict=True):
         if event < rate:
             pointers[phase, event] += 1
     for (phase, event), count in sorted(pointers.items()):
         tries[phase].append((count, event * interval + behind))
     return tries
+
+
+def link_delay_s(
+    mode: str, rate: int, parameters: ChannelParameters, first: Floats, second: Floats
+) -> Floats:
+    """Mean delay (s) of links of a mode and rate. Arguments and result are those of `mean_delay_s`.
+
+    Raises:
+        ConfigError: the rate is less than 1 or more than the mode's largest.
+    """
+    ble = {BLE4: parameters.ble4, BLE5: parameters.ble5}.get(mode)
+    if parameters.phases == "redrawn" or (ble is not None and ble.schedule == "random"):
+        return mean_delay_s(terms_of(mode, rate, parameters), first, second)
+    check_rate(mode, rate, parameters)
+    delay = np.zeros_like(first)
+    for share, terms in _terms_by_phase(mode, rate, parameters):
+        delay += share * mean_delay_s(terms, first, second)
+    return delay
 
 
 def mean_delay_s(terms: Terms, first: Floats, second: Floats) -> Floats:
@@ -205,4 +246,4 @@ def single_link_s(mode: str, rate: int, parameters: ChannelParameters) -> float:
         ConfigError: the rate is less than 1 or more than the mode's largest.
     """
     one = np.ones(1)
-    return float(mean_delay_s(terms_of(mode, rate, parameters), one, one)[0])
+    return float(link_delay_s(mode, rate, parameters, one, one)[0])

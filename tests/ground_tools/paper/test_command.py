@@ -23,6 +23,7 @@ NAMES = [
     "delay-rate",
     "packet-loss",
     "fixed-modes",
+    "readings",
     "convergence",
     "system-delay",
     "uav-delay",
