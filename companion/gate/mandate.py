@@ -47,6 +47,8 @@ class Mandate:
         """For each requested custom_mode: time until which it may be entered, infinite once it was."""
         self._base: int | None = None
         """custom_mode from which the vehicle is being taken, until the requested one is reported."""
+        self._perhaps_entered = False
+        """A mode that we requested was shown since, by messages whose order is not known."""
         self._asked: int | None = None
         """Latest requested custom_mode."""
         self._commanded_s = -math.inf
@@ -65,6 +67,7 @@ class Mandate:
 
         Args:
             overtaken: newer messages may have arrived before this one. Then it can only end authority.
+                `event.overtaken`: by their numbers, some have.
         """
         if isinstance(event, Heartbeat):
             mode = event.mode
@@ -78,17 +81,33 @@ class Mandate:
             return
         else:
             mode = flight_mode(h.firmware, h.vehicle_type, 1, event.custom_mode)
-        if not overtaken or self._is_pilots(event.custom_mode, mode):
+        if not overtaken or self._ends(event.custom_mode, mode, now_s, old=event.overtaken):
             self.hear_mode(event.custom_mode, mode, now_s)
+        elif self.engaged and not (self.lost or event.overtaken or event.custom_mode == self._base):
+            self._perhaps_entered, self._ours[event.custom_mode] = True, math.inf
 
-    def _is_pilots(self, custom: int, mode: FlightMode) -> bool:
-        """Whether a mode that the vehicle may have left since shows that the pilot has taken over."""
+    def _ends(self, custom: int, mode: FlightMode, now_s: float, *, old: bool) -> bool:
+        """Whether a mode ends authority even if the vehicle may have left it since: it is the pilot's, or the
+        mission was handed back.
+
+        Args:
+            old: the message is certainly older than others, so it may show what was before we took control.
+        """
         given = mode is (FlightMode.MISSION if self._guards else FlightMode.EXTERNAL)
-        return self.engaged and not (self.lost or given or custom == self._base or custom in self._ours)
+        if not self.engaged or self.lost:
+            return False
+        if old:
+            return not (given or custom == self._base or custom in self._ours)
+        if custom == self._base:
+            return self._perhaps_entered
+        if mode is FlightMode.MISSION and custom == self._asked:
+            return True
+        return now_s > self._ours.get(custom, -math.inf) and not (given and not self._guards)
 
     def hear_mode(self, custom: int, mode: FlightMode, now_s: float) -> None:
         """Take in one reported mode. Call this in the order in which the vehicle reported them."""
         before, self._mode, self._custom, self._mode_s = self._mode, mode, custom, now_s
+        left_ours, self._perhaps_entered = self._perhaps_entered, False
         given = mode is (FlightMode.MISSION if self._guards else FlightMode.EXTERNAL)
         if self.lost:
             self._held_instead = self._held_instead and mode is FlightMode.HOLD
@@ -97,7 +116,7 @@ class Mandate:
             self._left = self._left or not given
         elif not self.engaged:
             pass
-        elif custom == self._base:
+        elif custom == self._base and not left_ours:
             if mode is FlightMode.MISSION and self._guards and now_s - self._commanded_s > _ASKED_S:
                 self._free()  # Our mode was never entered, and nothing was commanded since.
         elif now_s <= self._ours.get(custom, -math.inf) or (given and not self._guards):
@@ -109,7 +128,7 @@ class Mandate:
                 self._base = custom  # We asked for another mode since, so the mission is left again.
         else:
             self._held_instead = mode is FlightMode.HOLD and self._asked_mission(now_s)
-            self._left = not given or before is not FlightMode.EXTERNAL
+            self._left = not given or not (before is FlightMode.EXTERNAL or left_ours)
             self.lost = f"the pilot selected {self.name(custom)}"
             if given and self._left and self._flight.rearm == "mode":
                 self._free()
@@ -238,5 +257,5 @@ class Mandate:
 
     def _free(self) -> None:
         self.lost, self.engaged, self._left, self._base = None, False, False, None
-        self._held_instead, self._asked = False, None
+        self._held_instead, self._perhaps_entered, self._asked = False, False, None
         self._ours.clear()

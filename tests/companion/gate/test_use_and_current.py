@@ -295,6 +295,72 @@ def test_among_old_messages_a_mode_ends_authority_and_never_gives_it_back(report
     assert not one.gate.lost
 
 
+@pytest.mark.parametrize("rearm", ["mode", "disarm"])
+def test_among_old_messages_a_mission_that_the_pilot_selects_ends_authority(rearm):
+    """He selects the mission and then GUIDED, while no message tells by its time what came first."""
+    one = flying("guard", rearm=rearm)
+    one.position(age_s=2.0)
+    one.beat(MISSION)
+    assert one.gate.lost
+    one.beat(EXTERNAL)
+    one.run(2.1)
+    assert one.gate.lost
+    assert not one.flies()
+
+
+@pytest.mark.parametrize("use", ["guard", "fly"])
+@pytest.mark.parametrize("rearm", ["mode", "disarm"])
+@pytest.mark.parametrize("order_known_again", [False, True])
+def test_among_old_messages_the_mode_taken_from_ends_authority_once_ours_was_shown(
+    use, rearm, order_known_again
+):
+    one = Flying(config(use, rearm=rearm)).airborne(MISSION)
+    assert one.asks(EXTERNAL)
+    one.position(age_s=2.0)
+    one.beat(MISSION)  # the request is on its way
+    one.beat(EXTERNAL)
+    assert not one.gate.lost
+    if order_known_again:
+        one.mode = EXTERNAL
+        one.now_s += 2.1
+        one.mode = MISSION
+    one.beat(MISSION)
+    assert one.gate.lost
+    one.run(2.1)
+    assert one.gate.lost
+    assert not one.asks(EXTERNAL)
+
+
+def test_a_mode_that_was_entered_among_old_messages_stays_ours():
+    """Also when they go on for longer than a request counts."""
+    one = Flying(config("guard")).airborne(MISSION)
+    assert one.asks(EXTERNAL)
+    one.mode = EXTERNAL
+    for _ in range(3):
+        one.position(age_s=9.0)
+        one.run(5.0)
+    assert not one.gate.lost
+    one.run(9.0)
+    assert one.flies()
+
+
+def test_a_mission_that_is_handed_back_among_old_messages_ends_authority():
+    one = flying("guard")
+    assert one.asks(MISSION)
+    one.position(age_s=2.0)
+    one.beat(MISSION)
+    one.beat(EXTERNAL)  # by the pilot
+    one.run(2.1)
+    assert not one.flies()
+
+
+def test_a_mission_that_newer_messages_have_overtaken_may_be_from_before():
+    one = flying("guard")
+    one.beat(MISSION, overtaken=True)
+    assert not one.gate.lost
+    assert one.flies()
+
+
 @pytest.mark.parametrize("report", ["beat", "current_mode"])
 def test_a_mode_that_was_overtaken_ends_authority_and_never_gives_it_back(report):
     one = flying("fly", PX4, rearm="mode")
