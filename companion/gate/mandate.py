@@ -49,6 +49,9 @@ class Mandate:
         """custom_mode from which the vehicle is being taken, until the requested one is reported."""
         self._perhaps_entered = False
         """A mode that we requested was shown since, by messages whose order is not known."""
+        self._perhaps_held = False
+        """Authority was lost by a message that may have been old: a mode that we requested may not be the
+        pilot's."""
         self._asked: int | None = None
         """Latest requested custom_mode."""
         self._commanded_s = -math.inf
@@ -82,7 +85,9 @@ class Mandate:
         else:
             mode = flight_mode(h.firmware, h.vehicle_type, 1, event.custom_mode)
         if not overtaken or self._ends(event.custom_mode, mode, now_s, old=event.overtaken):
+            held = not self.lost
             self.hear_mode(event.custom_mode, mode, now_s)
+            self._perhaps_held = bool(self.lost) and (self._perhaps_held or (held and overtaken))
         elif self.engaged and not (self.lost or event.overtaken or event.custom_mode == self._base):
             self._perhaps_entered, self._ours[event.custom_mode] = True, math.inf
 
@@ -113,7 +118,7 @@ class Mandate:
             self._held_instead = self._held_instead and mode is FlightMode.HOLD
             if given and self._left and self._flight.rearm == "mode":
                 self._free()
-            self._left = self._left or not given
+            self._left = self._left or not (given or (self._perhaps_held and custom in self._ours))
         elif not self.engaged:
             pass
         elif custom == self._base and not left_ours:
@@ -257,5 +262,6 @@ class Mandate:
 
     def _free(self) -> None:
         self.lost, self.engaged, self._left, self._base = None, False, False, None
-        self._held_instead, self._perhaps_entered, self._asked = False, False, None
+        self._held_instead = self._perhaps_entered = self._perhaps_held = False
+        self._asked = None
         self._ours.clear()

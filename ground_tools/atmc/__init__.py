@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ground_tools.atmc.env.search import search
     from ground_tools.atmc.env.world import World, WorldSettings, draw
     from ground_tools.atmc.learners.algorithms import ALGORITHMS, Algorithm
+    from ground_tools.atmc.learners.flat import freeze_layers
     from ground_tools.atmc.learners.learner import Learner
     from ground_tools.atmc.learners.training import train
 
@@ -44,6 +45,7 @@ __all__ = [
     "WorldSettings",
     "costs",
     "draw",
+    "freeze_layers",
     "paper_objective",
     "search",
     "settle",
@@ -59,6 +61,7 @@ _MODULES = {
     "env.search": ("search",),
     "env.world": ("World", "WorldSettings", "draw"),
     "learners.algorithms": ("ALGORITHMS", "Algorithm"),
+    "learners.flat": ("freeze_layers",),
     "learners.learner": ("Learner",),
     "learners.training": ("train",),
 }

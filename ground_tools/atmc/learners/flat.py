@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from companion.arrays import Float32s, Floats
 from companion.atmc import policy, policy_file
-from companion.atmc.actions import Action
+from companion.atmc.actions import PAPER_ACTIONS, Action
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
 from ground_tools.atmc.env.environment import Observation
 
@@ -149,6 +149,41 @@ def frozen(
     )
     metadata = msgspec.structs.replace(metadata, golden=golden)
     return policy.encode(metadata, tensors)
+
+
+def freeze_layers(
+    layers: Sequence[tuple[Float32s, Float32s]],
+    examples: Float32s,
+    *,
+    name: str,
+    actions: Sequence[Action] = PAPER_ACTIONS,
+    results: Mapping[str, float] | None = None,
+) -> bytes:
+    """Encode a network of another library, which serves all aircraft, as a policy file.
+
+    Args:
+        layers: Weight (inputs, outputs) and bias (outputs,) of each layer; between layers is a ReLU. The
+            input is a row of `flat`, the output a value for each action.
+        examples: Observation rows for the golden cases, (cases, inputs).
+        name: Name of the policy.
+        actions: The actions to which the outputs belong.
+        results: Measured results, as information for people.
+
+    Raises:
+        ValueError: The layers do not fit each other, the examples or the actions.
+    """
+    sizes = [examples.shape[-1], *(weight.shape[-1] for weight, _ in layers)]
+    for (weight, bias), wanted in zip(layers, itertools.pairwise(sizes), strict=True):
+        if weight.shape != wanted or bias.shape != wanted[1:]:
+            raise ValueError(f"a layer has shapes {weight.shape} and {bias.shape}; expected {wanted}")
+    if sizes[-1] != len(actions):
+        raise ValueError(f"the last layer has {sizes[-1]} outputs for {len(actions)} actions")
+    stack = Stack(1, sizes, torch.Generator())
+    with torch.no_grad():
+        for (weight, bias), to_weight, to_bias in zip(layers, stack.weights, stack.biases, strict=True):
+            to_weight.copy_(torch.tensor(weight)[None])
+            to_bias.copy_(torch.tensor(bias)[None, None])
+    return frozen(stack, actions, name, results or {}, torch.tensor(examples))
 
 
 def thawed(data: bytes, name: str) -> Stack:

@@ -331,6 +331,22 @@ def test_among_old_messages_the_mode_taken_from_ends_authority_once_ours_was_sho
     assert not one.asks(EXTERNAL)
 
 
+def test_a_loss_by_an_old_message_is_not_ended_by_the_mission_that_the_pilot_then_selects():
+    """As if the old message had not been: he has to leave the mission first."""
+    one = flying("guard", rearm="mode")
+    one.position(age_s=2.0)
+    one.beat(MISSION)  # from before; nothing tells so
+    one.beat(EXTERNAL)
+    one.run(2.1)
+    assert one.gate.lost
+    one.mode = MISSION
+    one.run(1.0)
+    assert one.gate.lost
+    one.beat(HOLD)
+    one.beat(MISSION)
+    assert not one.gate.lost
+
+
 def test_a_mode_that_was_entered_among_old_messages_stays_ours():
     """Also when they go on for longer than a request counts."""
     one = Flying(config("guard")).airborne(MISSION)
