@@ -17,6 +17,7 @@ import torch
 from torch import nn
 
 from ground_tools.atmc import AtmcParallelEnv, freeze_layers
+from ground_tools.atmc.env.paper_task import PaperTask, TaskSettings
 
 BATCH, LEAST_EXPLORATION = 512, 0.05
 
@@ -79,6 +80,17 @@ def mean_delay_ms(env: AtmcParallelEnv, choose: nn.Module | int, episodes: int, 
     return float(np.mean(delays))
 
 
+def system_delay_ms(q: nn.Module) -> float:
+    """The paper's measure: ten aircraft, the mean over its six sizes, on a fixed validation set."""
+    task = PaperTask(TaskSettings(), torch.Generator().manual_seed(1))
+
+    def choose(rows: torch.Tensor) -> torch.Tensor:
+        with torch.no_grad():
+            return q(rows).argmax(-1)
+
+    return task.validate(choose)["score"]
+
+
 def main() -> None:
     """Train, compare with the best fixed action, and write the policy file."""
     parser = argparse.ArgumentParser(
@@ -101,6 +113,7 @@ def main() -> None:
     print(
         f"mean delay of an aircraft: learned {ours:.0f} ms; best fixed action ({best}) {fixed[best]:.0f} ms"
     )
+    print(f"system delay over the paper's six sizes: {system_delay_ms(q):.0f} ms")
     layers = [
         (layer.weight.detach().numpy().T, layer.bias.detach().numpy())
         for layer in q
