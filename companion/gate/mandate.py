@@ -116,9 +116,10 @@ class Mandate:
         given = mode is (FlightMode.MISSION if self._guards else FlightMode.EXTERNAL)
         if self.lost:
             self._held_instead = self._held_instead and mode is FlightMode.HOLD
-            if given and self._left and self._flight.rearm == "mode":
+            self._perhaps_held = self._perhaps_held and (custom in self._ours or custom == self._base)
+            if given and self._left and self._flight.rearm == "mode" and not self._perhaps_held:
                 self._free()
-            self._left = self._left or not (given or (self._perhaps_held and custom in self._ours))
+            self._left = self._left or not (given or self._perhaps_held)
         elif not self.engaged:
             pass
         elif custom == self._base and not left_ours:

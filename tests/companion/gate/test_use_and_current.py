@@ -347,6 +347,22 @@ def test_a_loss_by_an_old_message_is_not_ended_by_the_mission_that_the_pilot_the
     assert not one.gate.lost
 
 
+def test_after_a_loss_by_an_old_message_our_own_mode_does_not_give_authority():
+    """Only once another mode has shown that the pilot has taken over, GUIDED is his."""
+    one = Flying(config("fly", rearm="mode")).airborne(MISSION)
+    assert one.asks(EXTERNAL)
+    one.position(age_s=2.0)
+    one.beat(EXTERNAL)  # from before; nothing tells so
+    one.beat(MISSION)
+    assert one.gate.lost
+    one.mode = EXTERNAL  # our request is obeyed
+    one.run(3.0)
+    assert one.gate.lost
+    one.beat(HOLD)
+    one.beat(EXTERNAL)
+    assert not one.gate.lost
+
+
 def test_a_mode_that_was_entered_among_old_messages_stays_ours():
     """Also when they go on for longer than a request counts."""
     one = Flying(config("guard")).airborne(MISSION)
