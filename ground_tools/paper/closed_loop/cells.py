@@ -16,6 +16,7 @@ import msgspec
 from ground_tools.common.kept_lines import Kept
 from ground_tools.paper.closed_loop.flights import FILE, METHODS, Flight, Row
 from ground_tools.results import sources
+from sitl_mocks.channel.parameters import ChannelParameters
 
 
 def cell(folder: Path, flight: Flight, crowd: int) -> Kept[Row]:
@@ -46,10 +47,17 @@ def _made_with(flight: Flight, crowd: int) -> dict[str, Any]:
         "condition": flight.condition,
         "method": flight.method,
         "region": "none" if method.policy is None else flight.region.name,
-        "channel": _digest(msgspec.json.encode(flight.channel)),
+        "channel": _digest(msgspec.json.encode(_of_packets(flight.channel))),
         "crowd": crowd,
         "policy": _digest(flight.policy) if method.policy == FILE and flight.policy is not None else None,
     }
+
+
+def _of_packets(channel: ChannelParameters) -> dict[str, Any]:
+    """The parameters without those that only the equations use."""
+    content: dict[str, Any] = msgspec.to_builtins(channel)
+    del content["phases"], content["ble5"]["pointers"]
+    return content
 
 
 def _digest(data: bytes) -> str:
