@@ -44,14 +44,14 @@ class Section:
 
 
 def write(folder: Path, sections: Sequence[Section]) -> tuple[Path, ...]:
-    """Write `index.md`, `index.html` and a CSV file for each section. Returns the paths of both pages.
+    """Write `index.md`, `index.html` and a CSV file for each section with numbers. Returns both pages' paths.
 
     Raises:
         ConfigError: a file cannot be written.
     """
     pages = folder / "index.md", folder / "index.html"
     contents = {pages[0]: _page(sections, _Markdown()), pages[1]: _page(sections, _Html())}
-    contents |= {folder / f"{section.name}.csv": _csv(section) for section in sections}
+    contents |= {folder / f"{s.name}.csv": _csv(s) for s in sections if tables(s.report)}
     for path, text in contents.items():
         try:
             path.write_text(text)
@@ -137,7 +137,8 @@ def _page(sections: Sequence[Section], to: _Markdown | _Html) -> str:
             if table.title:
                 parts.append(to.paragraph(table.title))
             parts.append(to.table(table.columns, table.rows))
-        parts.append(to.paragraph(f"All numbers of this section: {section.name}.csv."))
+        if tables(section.report):
+            parts.append(to.paragraph(f"All numbers of this section: {section.name}.csv."))
     return to.whole(parts)
 
 

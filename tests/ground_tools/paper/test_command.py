@@ -103,6 +103,7 @@ def check_page(out, rows):
             assert row["published"].replace("|", "\\|") in text or row["published"] in text
         held = sum(row["holds"] for row in statements)
         assert f"{held} of {len(statements)} statements hold" in text
+    assert {path.stem for path in out.glob("*.csv")} == set(NAMES)
     for name in NAMES:
         with (out / f"{name}.csv").open() as file:
             found = list(csv.DictReader(file))
