@@ -115,8 +115,8 @@ def flight() -> list[tuple[float, list[Event]]]:
     return steps
 
 
-def fly(steps: list[tuple[float, list[Event]]]) -> tuple[list[float], list[float]]:
-    """CPU time (s) of each step that decided, and of each that did not."""
+def companion() -> Companion:
+    """The core, on a path to the north."""
     far = FRAME.to_geodetic(3000.0, 0.0, 0.0)
     path = TrajectoryFile(
         altitude="msl",
@@ -125,13 +125,13 @@ def fly(steps: list[tuple[float, list[Event]]]) -> tuple[list[float], list[float
             Waypoint(t_s=1000.0, lat_deg=far[0], lon_deg=far[1], alt_m=450.0),
         ),
     )
-    core = Companion(
-        Config(
-            identity=IdentityConfig(uas_id="BENCH"),
-            flight=FlightConfig(use="fly", take_in_flight=True),
-            path=path,
-        )
-    )
+    flies = FlightConfig(use="fly", take_in_flight=True)
+    return Companion(Config(identity=IdentityConfig(uas_id="BENCH"), flight=flies, path=path))
+
+
+def fly(steps: list[tuple[float, list[Event]]]) -> tuple[list[float], list[float]]:
+    """CPU time (s) of each step that decided, and of each that did not."""
+    core = companion()
     deciding, others = [], []
     for now_s, events in steps:
         began = time.thread_time()

@@ -15,12 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.bench_core import FRAME, own_events
+from bench.bench_core import FRAME, companion, own_events
 from bench.figures import least_of_each, target
 from bench.memory import memory_mb
 from companion.avoidance import kernels
-from companion.config import Config, FlightConfig, IdentityConfig, TrajectoryFile, Waypoint
-from companion.core import Companion
 from companion.events import Event, RadioState
 from companion.geometry import Vec3
 from companion.radio.frames_io import FrameReceiver, FrameSender, radio_address
@@ -163,20 +161,6 @@ def flight(flood: Flood) -> Steps:
             events.append(RadioState(can_send=(WIFI_BEACON,)))
         steps.append((now_s, events, raw, honest))
     return steps
-
-
-def companion() -> Companion:
-    """The core, on a path to the north."""
-    far = FRAME.to_geodetic(3000.0, 0.0, 0.0)
-    path = TrajectoryFile(
-        altitude="msl",
-        waypoint=(
-            Waypoint(t_s=0.0, lat_deg=FRAME.lat_deg, lon_deg=FRAME.lon_deg, alt_m=450.0),
-            Waypoint(t_s=1000.0, lat_deg=far[0], lon_deg=far[1], alt_m=450.0),
-        ),
-    )
-    flies = FlightConfig(use="fly", take_in_flight=True)
-    return Companion(Config(identity=IdentityConfig(uas_id="BENCH"), flight=flies, path=path))
 
 
 def fly(steps: Steps) -> Iterator[tuple[float, float, bool | None]]:

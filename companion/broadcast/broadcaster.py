@@ -144,7 +144,7 @@ class Broadcaster:
             return commands
         rates: Mapping[str, int] = {}
         config = self._config
-        self._lacking = lacking(config.identity, config.remote_id, config.region, own, self._operator, now_s)
+        self._lacking = lacking(config, own, self._operator, now_s)
         if not self.gives_way:
             self._started = self._started or (self._decided.legal and bool(self._decided.rates))
             rates = self._decided.rates if self._started else {}
@@ -163,9 +163,8 @@ class Broadcaster:
         return commands
 
     def _messages(self, own: Ownship, now_s: float) -> tuple[Message, ...]:
-        c = self._config
         failed = bool(self._silent) or not self._decided.legal
-        return messages_of(c.identity, c.remote_id, c.region, own, self._operator, now_s, failed=failed)
+        return messages_of(self._config, own, self._operator, now_s, failed=failed)
 
     def _watch_module(self, own: Ownship, now_s: float) -> list[Command]:
         """Resume our broadcast when the vehicle's module falls silent, also in flight: an aircraft with two

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from companion.config import IdentityConfig, RemoteIdConfig
+from companion.config import Config, IdentityConfig, RemoteIdConfig
 from companion.events import Landed
 from companion.ownship import Ownship
 from companion.remote_id.identity import public_operator_id
@@ -25,7 +25,6 @@ from companion.remote_id.messages import (
     Status,
     System,
 )
-from companion.remote_id.region import Region
 
 OPERATOR_FRESH_S = 10.0
 """An operator position that has not been renewed for this long is no longer broadcast."""
@@ -81,14 +80,7 @@ def basic_id_of(identity: IdentityConfig) -> BasicId:
 
 
 def messages_of(
-    identity: IdentityConfig,
-    config: RemoteIdConfig,
-    region: Region,
-    own: Ownship,
-    operator: Operator,
-    now_s: float,
-    *,
-    failed: bool,
+    config: Config, own: Ownship, operator: Operator, now_s: float, *, failed: bool
 ) -> tuple[Message, ...]:
     """All messages to broadcast now: Basic ID, Location, System, and those that are configured or received in
     addition.
@@ -96,6 +88,7 @@ def messages_of(
     Args:
         failed: our broadcast is known not to work; the Location reports it.
     """
+    identity, remote_id = config.identity, config.remote_id
     messages: list[Message] = [basic_id_of(identity)]
     if identity.registration_id is not None:
         messages.append(
@@ -103,10 +96,11 @@ def messages_of(
                 id_type=IdType.CAA_REGISTRATION, ua_type=identity.ua_type, uas_id=identity.registration_id
             )
         )
-    location = location_of(own, now_s, region.location_max_age_s)
+    location = location_of(own, now_s, config.region.location_max_age_s)
     if failed:
         location = msgspec.structs.replace(location, status=Status.REMOTE_ID_SYSTEM_FAILURE)
-    return (*messages, location, system_of(own, config, operator, now_s), *_further(config, operator))
+    system = system_of(own, remote_id, operator, now_s)
+    return (*messages, location, system, *_further(remote_id, operator))
 
 
 def kinds_of(config: RemoteIdConfig, operator: Operator) -> frozenset[type[Message]]:
@@ -114,23 +108,17 @@ def kinds_of(config: RemoteIdConfig, operator: Operator) -> frozenset[type[Messa
     return frozenset((BasicId, Location, System, *map(type, _further(config, operator))))
 
 
-def lacking(
-    identity: IdentityConfig,
-    config: RemoteIdConfig,
-    region: Region,
-    own: Ownship,
-    operator: Operator,
-    now_s: float,
-) -> str | None:
+def lacking(config: Config, own: Ownship, operator: Operator, now_s: float) -> str | None:
     """What the messages lack for take-off, in the words that ground stations know from Remote ID modules;
     None if nothing is missing."""
-    if identity.id_type is IdType.NONE:
+    region = config.region
+    if config.identity.id_type is IdType.NONE:
         return "missing basic_id message"
     if not _is_located(own, now_s, region.location_max_age_s):
         return "missing location message"
     if operator.system(now_s) is None and own.takeoff is None:
         return "missing operator location"
-    if region.operator_id_required and config.operator_id is None and operator.operator_id is None:
+    if region.operator_id_required and config.remote_id.operator_id is None and operator.operator_id is None:
         return "missing operator_id message"
     return None
 

@@ -14,7 +14,6 @@ from companion.events import (
     RadioState,
     RemoteIdHeard,
     RemoteIdModule,
-    Say,
     Severity,
 )
 from companion.radio.ether.section import EtherRadio
@@ -30,34 +29,10 @@ from companion.remote_id.messages import (
     System,
 )
 from companion.remote_id.region import Region
+from tests.companion.broadcast.on_air import configured, said, told
 
 UTC_S = 1_767_225_600.0
 OWN = "c2:00:00:00:00:01"
-
-
-@pytest.fixture
-def bench(make_bench):
-    """An aircraft that watches, with a radio on Wi-Fi."""
-    made = make_bench(use="watch")
-    made.step(20)
-    return made
-
-
-def told(bench, kind, seconds=1.5):
-    """Messages of a kind that go out in the next seconds."""
-    return [
-        m
-        for c in bench.step(round(seconds / 0.05))
-        for m in getattr(c, "messages", ())
-        if isinstance(m, kind)
-    ]
-
-
-def configured(bench, **changes):
-    """A fresh bench whose [remote_id] keys are replaced."""
-    config = bench.core.config
-    remote_id = msgspec.structs.replace(config.remote_id, **changes)
-    return type(bench)(type(bench.core)(msgspec.structs.replace(config, remote_id=remote_id)))
 
 
 def ground_station(bench, stamp_s, lat_deg=47.5, **more):
@@ -166,10 +141,6 @@ def echo(bench, address=OWN, transport="wifi"):
     bench.extra.append(
         RemoteIdHeard(transport=transport, address=address, messages=(SelfId(description_type=0, text="x"),))
     )
-
-
-def said(commands):
-    return [(c.severity, c.text) for c in commands if isinstance(c, Say)]
 
 
 def test_an_own_frame_that_is_not_heard_back_is_a_failure_until_it_is(bench):

@@ -2,40 +2,11 @@
 
 from __future__ import annotations
 
-import msgspec
 import pytest
 
-from companion.events import RemoteIdModule, Say, Severity
+from companion.events import RemoteIdModule, Severity
 from companion.remote_id.messages import Location
-
-
-@pytest.fixture
-def bench(make_bench):
-    """An aircraft that watches, with a radio on Wi-Fi."""
-    made = make_bench(use="watch")
-    made.step(20)
-    return made
-
-
-def told(bench, kind, seconds=1.5):
-    """Messages of a kind that go out in the next seconds."""
-    return [
-        m
-        for c in bench.step(round(seconds / 0.05))
-        for m in getattr(c, "messages", ())
-        if isinstance(m, kind)
-    ]
-
-
-def said(commands):
-    return [(c.severity, c.text) for c in commands if isinstance(c, Say)]
-
-
-def configured(bench, **changes):
-    """A fresh bench whose [remote_id] keys are replaced."""
-    config = bench.core.config
-    remote_id = msgspec.structs.replace(config.remote_id, **changes)
-    return type(bench)(type(bench.core)(msgspec.structs.replace(config, remote_id=remote_id)))
+from tests.companion.broadcast.on_air import configured, said, told
 
 
 def report(bench, seconds=1.0, component_id=236, ready=True, text=""):
