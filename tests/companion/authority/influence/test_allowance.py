@@ -195,6 +195,13 @@ def test_a_guarded_vehicle_is_charged_until_it_is_given_back(use, charged):
     assert (("total", True) in sky.scopes()) is charged
 
 
+def test_the_pilot_is_told_of_single_tracks_at_most_every_five_seconds():
+    sky = Sky()
+    sky.run(41.0, other("A"), other("B", at=(0.0, 20.0, 0.0)))
+    assert sorted(c.track_id for c in sky.told if isinstance(c, AllowanceSpent)) == ["A", "B"]
+    assert len([c for c in sky.told if isinstance(c, Say)]) == 1
+
+
 def test_what_is_remembered_is_bounded():
     sky = Sky()
     sky.all.admitted(0.0, ZERO, ZERO, [other("A")])
