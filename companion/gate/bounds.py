@@ -42,8 +42,15 @@ _RESTART_S = 1.0
 
 _GROUND_MPS = 2.0
 
+_MOVED_M = 10.0
+"""The distances to the fence are measured anew after this movement."""
+_NOWHERE = math.inf, math.inf
+
 Edge = tuple[float, float, float, float]
 """North and east of both ends (m); for a circle: north and east of its centre, its radius (m), NaN."""
+Wall = tuple[FenceArea, int, list[Edge], list[float], float]
+"""Fence area, number of its first edge, its edges, the distance to each (m), and the least of these
+distances, which is -1 if the vehicle already breaks this fence."""
 
 
 class Bounds:
@@ -73,9 +80,9 @@ class Bounds:
         """Time until which old messages may still arrive among new ones."""
         self._frame: LocalFrame | None = None
         self._here = 0.0, 0.0
-        self._walls: list[tuple[FenceArea, list[Edge]]] | None = None
-        self._clear_m, self._clear_at = -1.0, (0.0, 0.0)
-        """No wall is nearer to the place `_clear_at` (north, east) than `_clear_m`."""
+        self._walls: list[Wall] = []
+        self._walls_at = _NOWHERE
+        """Place (north, east) from which the distances in `_walls` were measured."""
         self._slowed: dict[int, tuple[float, float, float]] = {}
         """For each bound: time since which it has been approached too fast, flown speed towards it at that
         time, and latest time at which it was approached too fast."""
@@ -125,7 +132,7 @@ class Bounds:
     def hear_fence(self, areas: tuple[FenceArea, ...]) -> None:
         """Take in the vehicle's own fence, if it is configured to be used."""
         if self._limits.fence == "vehicle":
-            self._areas, self._walls, self._clear_m = areas, None, -1.0
+            self._areas, self._walls_at = areas, _NOWHERE
 
     def late(self, now_s: float) -> bool:
         """Whether messages received now may have been delayed on the way, judged by the vehicle's own clock.
@@ -250,42 +257,44 @@ class Bounds:
         return self._here[0] + age_s * self._velocity[0], self._here[1] + age_s * self._velocity[1]
 
     def _check_fence(self, north: float, east: float, here: tuple[float, float], now_s: float) -> None:
-        reach = self._speed * (_REACTION_S + 0.5 * self._speed / self._acceleration)
-        if math.dist(here, self._clear_at) + reach < self._clear_m:
-            return
-        nearest_m, bound = math.inf, 0
-        for area, edges in self._made_walls():
-            near = [_nearest(edge, *here) for edge in edges]
-            room_m, un, ue = min(near)
+        speed = math.hypot(north, east)
+        needed_m = speed * (_REACTION_S + 0.5 * speed / self._acceleration)  # the most in any direction
+        if math.dist(here, self._walls_at) > _MOVED_M:
+            self._walls, self._walls_at = self._measured_walls(here), here
+        needed_m += math.dist(here, self._walls_at)  # By this much an edge may be nearer than measured.
+        for area, first, edges, rooms, least_m in self._walls:
+            if least_m > needed_m:
+                continue
             if _inside(edges, *here) != area.inclusion:
-                nearest_m = 0.0
+                room, un, ue = min(_nearest(edge, *here) for edge in edges)
                 outward = -(north * un + east * ue)
                 flown = -(self._velocity[0] * un + self._velocity[1] * ue)
-                if self._too_fast(bound, 0.0, outward, flown, now_s):
-                    raise Broken(Rule.FENCE, f"{outward:.2f} m/s outward, {room_m:.1f} m outside the fence")
-                bound += len(edges)
+                if self._too_fast(first, 0.0, outward, flown, now_s):
+                    raise Broken(Rule.FENCE, f"{outward:.2f} m/s outward, {room:.1f} m outside the fence")
                 continue
-            nearest_m = min(nearest_m, room_m)
-            for number, (room, un, ue) in enumerate(near, start=bound):
+            for number, (edge, measured_m) in enumerate(zip(edges, rooms, strict=True), start=first):
+                if measured_m > needed_m:
+                    continue
+                room, un, ue = _nearest(edge, *here)
                 towards = north * un + east * ue
                 flown = self._velocity[0] * un + self._velocity[1] * ue
-                if room < reach and self._too_fast(number, room, towards, flown, now_s):
+                if self._too_fast(number, room, towards, flown, now_s):
                     raise Broken(Rule.FENCE, f"{towards:.2f} m/s towards a fence wall {room:.1f} m away")
-            bound += len(edges)
-        self._clear_m, self._clear_at = nearest_m, here
 
-    def _made_walls(self) -> list[tuple[FenceArea, list[Edge]]]:
-        frame = self._frame
-        assert frame is not None
-        if self._walls is None:
-            self._walls = []
-            for area in self._areas:
-                corners = [frame.to_ned(lat, lon, frame.alt_m)[:2] for lat, lon in area.points]
-                edges = [(*a, *b) for a, b in pairwise([*corners, corners[0]])]
-                if area.radius_m is not None:
-                    edges = [(*corners[0], area.radius_m, math.nan)]
-                self._walls.append((area, edges))
-        return self._walls
+    def _measured_walls(self, here: tuple[float, float]) -> list[Wall]:
+        assert self._frame is not None
+        walls: list[Wall] = []
+        first = 0
+        for area in self._areas:
+            corners = [self._frame.to_ned(lat, lon, self._frame.alt_m)[:2] for lat, lon in area.points]
+            edges = [(*a, *b) for a, b in pairwise([*corners, corners[0]])]
+            if area.radius_m is not None:
+                edges = [(*corners[0], area.radius_m, math.nan)]
+            rooms = [_nearest(edge, *here)[0] for edge in edges]
+            kept = _inside(edges, *here) == area.inclusion
+            walls.append((area, first, edges, rooms, min(rooms) if kept else -1.0))
+            first += len(edges)
+        return walls
 
 
 def _inside(edges: list[Edge], n: float, e: float) -> bool:
