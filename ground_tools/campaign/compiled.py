@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import config, njit
+from numba.core.runtime import rtsys
 
 from companion.avoidance import kernels, law
+from companion.avoidance.kernels.compiled import LoadingCache
 from companion.traffic import adsb, right_of_way, signal_strength
 from sitl_mocks.channel import parameters as channel
 
@@ -22,6 +24,14 @@ SOURCES = (
 """Source files whose functions and constants are compiled into functions of other files."""
 _STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+
+
+class _CacheWithMemory(LoadingCache):
+    """Cache that loads functions with numba's memory runtime, too."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        rtsys.initialize(target_context)
+        return super().load_overload(sig, target_context)
 
 
 def compiled(**options: Any) -> Callable[[Function], Function]:
@@ -38,7 +48,10 @@ def compiled(**options: Any) -> Callable[[Function], Function]:
         held = vars(config)["CACHE_DIR"]
         vars(config)["CACHE_DIR"] = str(Path(__file__).parent / "__pycache__" / _STATE)
         try:
-            return cast(Function, njit(cache=True, **(_OPTIONS | options))(function))
+            made: Any = njit(cache=True, **(_OPTIONS | options))(function)
+            if hasattr(made, "_cache"):
+                made._cache = _CacheWithMemory(function)
+            return cast(Function, made)
         finally:
             vars(config)["CACHE_DIR"] = held
 

@@ -7,7 +7,8 @@ import sys
 
 import pytest
 
-from companion.avoidance.kernels import compiled
+from companion.avoidance.kernels import compiled, programs
+from companion.avoidance.kernels.vectors import Vector
 from companion.runtime.warm import warm_up
 
 
@@ -16,6 +17,30 @@ def test_the_second_process_loads_what_the_first_compiled():
     code = "from companion.runtime.warm import *; warm_up(); print(was_compiled())"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout == "False\n"
+
+
+def test_a_process_that_loads_them_does_not_import_the_compiler_s_libraries():
+    warm_up()
+    code = (
+        "import sys; from companion.runtime.warm import *; warm_up();print('numba.np.npyimpl' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout == "False\n"
+
+
+def test_a_process_that_loads_some_compiles_the_others():
+    warm_up()
+    code = (
+        "from companion.runtime.warm import *; warm_up(); print(was_compiled());"
+        "from companion.avoidance.kernels import programs;"
+        "from companion.avoidance.kernels.vectors import Vector;"
+        "from companion.avoidance.kernels.compiled import compiled;"
+        "print(compiled(lambda p: programs.half_space(p, p, 3.0, 5.0, 1.0))(Vector(10.0, 0.0, 0.0))[1])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    before, length = done.stdout.split()
+    assert before == "False"
+    assert float(length) == programs.half_space(*2 * [Vector(10.0, 0.0, 0.0)], 3.0, 5.0, 1.0)[1]
 
 
 def test_a_user_without_any_folder_compiles_anew(monkeypatch):
@@ -50,8 +75,10 @@ print(values)
 def test_a_cache_that_cannot_be_used_keeps_nobody_on_the_ground(tmp_path, what, monkeypatch):
     (tmp_path / "pieces.py").write_text(
         "from numba import njit\n"
-        "@njit(cache=True)\ndef part(x):\n    return x + 1\n"
-        "@njit(cache=True)\ndef whole(x):\n    return part(x) + 1\n"
+        "from companion.avoidance.kernels.compiled import LoadingCache\n"
+        "@njit(cache=True, _nrt=False)\ndef part(x):\n    return x + 1\n"
+        "@njit(cache=True, _nrt=False)\ndef whole(x):\n    return part(x) + 1\n"
+        "for function in part, whole:\n    function._cache = LoadingCache(function.py_func)\n"
     )
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
 
