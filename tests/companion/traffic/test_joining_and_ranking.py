@@ -33,6 +33,26 @@ def test_a_nameless_track_joins_where_the_named_one_has_flown_to(beside_m, joine
     assert len(listener.traffic.tracks) == (1 if joined else 2)
 
 
+@pytest.mark.parametrize(
+    ("changed", "joined"),
+    [
+        ({"alt_geodetic_m": 507.0}, True),
+        ({"alt_geodetic_m": 557.0}, False),
+        ({"alt_geodetic_m": 437.0}, False),
+        ({"alt_geodetic_m": None}, True),
+        ({"direction_deg": 80.0}, True),
+        ({"direction_deg": 20.0}, False),
+    ],
+)
+def test_a_nameless_track_at_another_height_or_on_another_course_does_not_join(changed, joined):
+    """The named one is at 497 m and flies east at 20 m/s; heights are known to 3 m."""
+    listener = Listener()
+    listener.hear(10.1, basic("X"), location(straight(20.0), 10.0), address="w")
+    listener.hear(11.1, location(straight(20.0), 11.0, **changed), address="b", transport="ble4")
+    listener.hear(11.5, basic("X"), address="b", transport="ble4")
+    assert len(listener.traffic.tracks) == (1 if joined else 2)
+
+
 @pytest.mark.parametrize("name", [basic("X", IdType.NONE), basic("")])
 def test_an_identity_of_no_kind_or_without_text_is_none(name):
     listener = Listener()
