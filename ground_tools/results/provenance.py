@@ -12,6 +12,7 @@ from typing import Literal
 import msgspec
 
 from companion.errors import ConfigError
+from companion.shipped import shipped
 from ground_tools.results import sources
 
 
@@ -31,13 +32,20 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Versions of the packages that compute, and of Python."""
 
 
-def now(command: str, roots: Iterable[str], data: Iterable[Path], packages: Iterable[str]) -> Provenance:
-    """The record of a file that is made by today's software."""
+def now(command: str, roots: Iterable[str], data: Iterable[str], packages: Iterable[str]) -> Provenance:
+    """The record of a file that is made by today's software.
+
+    Args:
+        command: the command that makes it.
+        roots: names of the modules that compute it.
+        data: files that come with the software on which it depends, by their paths in the checkout.
+        packages: names of the packages that compute.
+    """
     return Provenance(
         command=command,
         evidence="made",
         sources=sources.digests(roots),
-        data={str(path.relative_to(sources.ROOT)): _digest(path) for path in data},
+        data={name: _digest(shipped(name)) for name in data},
         packages={"python": platform.python_version(), **{name: metadata.version(name) for name in packages}},
     )
 
