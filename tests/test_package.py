@@ -1,5 +1,6 @@
 """What the wheel and the source archive hold, and the import name `dmuca`."""
 
+import re
 import subprocess
 import sys
 import tarfile
@@ -12,6 +13,7 @@ import pytest
 
 import companion
 import dmuca
+from tests import installed
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("dmuca", "companion", "sitl_mocks", "ground_tools")
@@ -79,3 +81,16 @@ def test_the_name_alone_loads_nothing_heavy():
     )
     assert loaded.stdout.startswith(dmuca.__version__)
     assert not {"numpy", "numba", "torch"} & set(loaded.stdout.split())
+
+
+def test_every_command_of_the_docs_is_tried_in_an_empty_environment_or_known_to_need_more():
+    """What `python -m tests.installed` runs; a pattern that no command needs any more is a mistake."""
+    commands = installed.commands_of_the_docs()
+    tried = [command for command in commands if installed.untried(command) is None]
+    assert len(tried) > 45
+    for pattern in installed.UNTRIED:
+        assert any(re.search(pattern, command) for command in commands), pattern
+    for pattern, _ in installed.SMALLER:
+        assert any(re.search(pattern, command) for command in commands), pattern
+    left = [c for c in map(installed.smaller, tried) if re.search(r"\b(NAME|OTHER|FILE|DIR|RUN|CASES)\b", c)]
+    assert not left, "placeholders without a file"

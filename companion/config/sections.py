@@ -19,6 +19,8 @@ from companion.remote_id.messages import IdType, UaType
 from companion.remote_id.region import Region, TransportName
 from companion.toml_reader import SECRET
 
+EXAMPLE_ID = "1596B0000DMUCA01"
+"""Serial number in the example configurations; no aircraft may fly with it."""
 CHOOSER_WORDS = ("rule", "fixed")
 """Values of `atmc.policy` other than a path: "rule" is the one-line rule, "fixed" the best fixed legal
 set."""

@@ -46,7 +46,7 @@ def now(command: str, roots: Iterable[str], data: Iterable[str], packages: Itera
         evidence="made",
         sources=sources.digests(roots),
         data={name: _digest(shipped(name)) for name in data},
-        packages={"python": platform.python_version(), **{name: metadata.version(name) for name in packages}},
+        packages={"python": platform.python_version(), **{name: _version(name) for name in packages}},
     )
 
 
@@ -89,6 +89,14 @@ def write(path: Path, provenance: Provenance) -> None:
         record.write_bytes(msgspec.json.format(msgspec.json.encode(provenance), indent=1) + b"\n")
     except OSError as error:
         raise ConfigError(f"{record}: cannot be written: {error.strerror}") from error
+
+
+def _version(package: str) -> str:
+    """Version of a package; verifying needs none of those that only train."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"
 
 
 def _digest(path: Path) -> str:

@@ -53,7 +53,8 @@ def test_a_configuration_may_name_a_profile_and_a_policy_that_are_shipped(tmp_pa
 def test_a_scenario_may_name_them_too(tmp_path):
     path = tmp_path / "s.toml"
     path.write_text(
-        'geometry = "S2"\n[air]\nmodel = "packets"\nparameters = "standard"\nregion = "eu"\n[atmc]\npolicy = "atmc"\n'
+        'geometry = "S2"\n[air]\nmodel = "packets"\nparameters = "standard"\nregion = "eu"\n'
+        '[atmc]\npolicy = "atmc"\n'
     )
     scenario = scenario_file.load(path)
     assert scenario.region.name == "eu"
