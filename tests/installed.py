@@ -43,7 +43,7 @@ SMALLER: Final = (
     (r"paper (all|readings)(?!.*--samples)", r"paper \1 --samples 4"),
     (r"paper closed-loop(?!.*--out|.*--encounters)", "paper closed-loop --encounters 1"),
     (r"paper closed-loop --encounters", "paper closed-loop --crowd 2 --out runs/loop --encounters"),
-    (r"^(ground-tools channel (table|plot|compare))(?!.*--samples)", r"\1 --samples 4"),
+    (r"^(ground-tools channel (table|plot))(?!.*--samples)", r"\1 --samples 4"),
     (r"runs/(NAME|A)", "RUN_FOLDER"),
     (r"runs/(OTHER|B)", "OTHER_FOLDER"),
     (r"(FLIGHT|flight)\.tlog", "RUN_FOLDER/DMUCA001.tlog"),
@@ -59,7 +59,7 @@ SERVES: Final = (
     r"sitl-mocks (serve|ether)",
     r"companion run",
     r"companion status",
-    r"companion remote-id listen .*ether",
+    r"companion remote-id listen",
     r"ground-tools inspect .*(--web|--live)",
 )
 """Commands that go on until Ctrl-C, which is pressed after a few seconds."""
