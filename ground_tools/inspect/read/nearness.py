@@ -13,7 +13,7 @@ import numpy as np
 
 from companion.arrays import Floats
 from companion.events import AdsbVehicle
-from companion.geometry import Vec3
+from companion.geometry import LocalFrame, Vec3
 
 ADSB_STAMP_S = 0.5
 """Mean error of the age of an ADS-B report, which is whole seconds, rounded down."""
@@ -111,17 +111,9 @@ class AdsbTally:
 
 
 def _away(event: AdsbVehicle, own: tuple[float, float, float]) -> Vec3:
-    """Position of the other relative to our own, carried forward over the age of the report.
-
-    A plane at our place is exact enough here: what is far away need not be known to the metre.
-    """
-    north = math.radians(event.lat_deg - own[0]) * _EARTH_M
-    turns = (event.lon_deg - own[1] + 180.0) % 360.0 - 180.0
-    east = math.radians(turns) * _EARTH_M * math.cos(math.radians(own[0]))
-    down = 0.0 if event.alt_m is None else own[2] - event.alt_m
+    """Position of the other relative to our own, carried forward over the age of the report."""
+    alt_m = own[2] if event.alt_m is None else event.alt_m
+    north, east, down = LocalFrame(*own).to_ned(event.lat_deg, event.lon_deg, alt_m)
     age_s = event.age_s + ADSB_STAMP_S
     v = event.velocity_ned_mps or (0.0, 0.0, 0.0)
     return north + v[0] * age_s, east + v[1] * age_s, down + v[2] * age_s
-
-
-_EARTH_M = 6_371_000.0

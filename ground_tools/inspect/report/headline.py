@@ -83,7 +83,7 @@ def _approach(name: str, row: dict[str, Any]) -> str:
     """How near a heard aircraft came, in words."""
     nearest = row["nearest"]
     callsign = f" ({row['callsign']})" if row["callsign"] else ""
-    height = ", at an unknown height"
+    height = ", at an unknown height,"
     if nearest["above_m"] is not None:
         way = "above" if nearest["above_m"] >= 0.0 else "below"
         height = f" and {abs(nearest['above_m']):.0f} m {way} it"
