@@ -5,6 +5,7 @@ This module knows no particular configuration: names, limits and tags are read f
 
 from __future__ import annotations
 
+import difflib
 import enum
 import math
 import re
@@ -64,9 +65,9 @@ def _explain(text: str, raw: object, kind: type) -> str:
     if "unknown field" in what:
         field = what.split("`")[1]
         full = f"{key}.{field}" if key else field
-        names = (f.name for f in msgspec.structs.fields(_structs_at(kind, key, raw)[0]))
-        allowed = ", ".join(names) or "no other key"
-        return f"{full}: unknown key; allowed here: {allowed}"
+        names = [f.name for f in msgspec.structs.fields(_structs_at(kind, key, raw)[0])]
+        meant = "".join(f"did you mean {n}? " for n in difflib.get_close_matches(field, names, n=1))
+        return f"{full}: unknown key; {meant}allowed here: {', '.join(names) or 'no other key'}"
     if "missing required field" in what:
         field = what.split("`")[1]
         return f"{key}.{field}: missing" if key else f"{field}: missing"

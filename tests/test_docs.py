@@ -44,11 +44,12 @@ def test_relative_links_lead_somewhere():
                 assert (path.parent / target).exists(), f"{path.name}: {target}"
 
 
-def test_the_examples_of_the_library_page_print_what_it_shows(monkeypatch, capsys):
-    monkeypatch.chdir(ROOT)
-    text = (ROOT / "docs" / "library.md").read_text()
+@pytest.mark.parametrize(("page", "count"), [("library.md", 5), ("install.md", 1)])
+def test_the_examples_of_a_page_print_what_it_shows(tmp_path, monkeypatch, capsys, page, count):
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / page).read_text()
     examples = re.findall(r"```python\n(.*?)```\n\n((?:    [^\n]*\n)+)", text, re.S)
-    assert len(examples) == text.count("```python") == 5
+    assert len(examples) == text.count("```python") == count
     names: dict[str, object] = {}
     for code, printed in examples:
         exec(code, names)

@@ -27,6 +27,7 @@ ROOMS = [
     "arrays",
     "address_forms",
     "toml_reader",
+    "shipped",
     "geometry",
     "remote_id",
     "events",

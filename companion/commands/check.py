@@ -25,7 +25,7 @@ from companion.avoidance.path import check_path
 from companion.commands.check_containment import judge_containment, judge_mission
 from companion.commands.drip_keys import find_signing
 from companion.commands.preflight import Preflight
-from companion.config import Config, check_identity
+from companion.config import EXAMPLE_ID, Config, check_identity
 from companion.errors import ConfigError
 from companion.events import (
     DownloadMission,
@@ -117,13 +117,20 @@ def _configuration(config: Config, found: Preflight) -> None:
     found.green("configuration", "valid")
     for note in check_identity(config.identity, config.remote_id, config.region):
         found.yellow("configuration", note, "compare it with your registration document")
+    if config.identity.uas_id == EXAMPLE_ID:
+        found.yellow(
+            "identity",
+            f"identity.uas_id: {EXAMPLE_ID} is the example of the documentation; aircraft of the same number "
+            "do not avoid each other",
+            "set the serial number of this aircraft",
+        )
     if config.region.transport_sets:
         found.green("region", config.region.name)
     else:
         found.yellow(
             "region",
             f"{config.region.name}: no Remote ID law applies",
-            'set remote_id.region to a profile, such as "regions/us.toml"',
+            'set remote_id.region to a profile, such as "us"',
         )
     try:
         check_path(config, "configuration")

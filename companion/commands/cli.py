@@ -22,8 +22,9 @@ from companion.commands.entry_point import parser_of, run_command
 from companion.errors import ConfigError
 
 _EXAMPLES = """examples:
-  companion check --config config/companion.toml
-  companion run --config config/companion.toml --dry-run
+  companion init --ardupilot --radio hci=user:0
+  companion check --config companion.toml
+  companion run --config companion.toml --dry-run
   companion status
   companion replay runs/20260101T000000Z-demo
   companion replay flight.tlog --json
@@ -46,13 +47,19 @@ def _parser(given: Sequence[str]) -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
     run = commands.add_parser(
-        "run", help="fly with an autopilot", epilog="companion run --config config/companion.toml"
+        "run", help="fly with an autopilot", epilog="companion run --config companion.toml"
     )
     run.add_argument("--config", type=Path, required=True, help="configuration file (TOML)")
     run.add_argument(
         "--dry-run", action="store_true", help="decide and record, but command nothing and broadcast nothing"
     )
     run.set_defaults(run=_run)
+
+    begun = commands.add_parser("init", help="write a commented configuration, by options or by asking")
+    if given and given[0] == "init":
+        from companion.commands import init
+
+        init.add_arguments(begun)
 
     status = commands.add_parser(
         "status", help="show the live state of a companion on this computer", epilog="companion status --once"

@@ -8,6 +8,7 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 from companion import __version__
 from companion.errors import ConfigError, PeerDataError
@@ -46,7 +47,9 @@ def add_commands(
 def run_command(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> int:
     """Run the subcommand. Returns the exit code: 0 for success, 1 for a negative result, 2 for bad input."""
     _open_streams()
-    arguments = parser.parse_args(argv)
+    arguments, unknown = parser.parse_known_args(argv)
+    if unknown:
+        _refuse(parser, sys.argv[1:] if argv is None else argv, unknown)
     try:
         code: int = arguments.run(arguments)
     except (ConfigError, PeerDataError) as error:
@@ -66,6 +69,16 @@ def run_command(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> 
         sys.stderr.close()
         return 1
     return code
+
+
+def _refuse(parser: argparse.ArgumentParser, argv: Sequence[str], unknown: Sequence[str]) -> NoReturn:
+    """End with the usage of the subcommand that was given what it does not know, instead of the root's."""
+    for word in argv:
+        deeper = next((a for a in parser._actions if isinstance(a, argparse._SubParsersAction)), None)
+        if deeper is None:
+            break
+        parser = deeper.choices.get(word, parser)
+    parser.error(f"unrecognized arguments: {' '.join(unknown)}")
 
 
 def start(module: str) -> int:

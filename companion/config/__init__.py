@@ -10,6 +10,7 @@ from companion.config.identity_checks import check_identity
 from companion.config.loading import dump, load, load_trajectory, public
 from companion.config.sections import (
     CHOOSER_WORDS,
+    EXAMPLE_ID,
     AtmcConfig,
     AvoidanceConfig,
     Config,
@@ -28,6 +29,7 @@ from companion.config.sections import (
 
 __all__ = [
     "CHOOSER_WORDS",
+    "EXAMPLE_ID",
     "AtmcConfig",
     "AvoidanceConfig",
     "Config",

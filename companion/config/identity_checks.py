@@ -65,6 +65,11 @@ def _check_uas_id(identity: IdentityConfig, region: Region) -> list[str]:
             check_registration(text)
         case _ if not is_printable_ascii(text):
             raise ValueError(f"{text!r}: allowed: printable ASCII, up to {ON_AIR_MAX} characters")
+    if identity.id_type is IdType.SERIAL_NUMBER and region.serial_number == "any":
+        try:
+            check_serial(text)
+        except ValueError as error:
+            return [f"identity.uas_id: {error}; without a region it is sent as it is"]
     return []
 
 

@@ -20,6 +20,7 @@ from companion.remote_id.drip.link import decode_endorsement
 from companion.remote_id.identity import public_operator_id
 from companion.remote_id.messages import IdType
 from companion.remote_id.region import Region
+from companion.shipped import named, names
 from companion.toml_reader import decode_toml, without_none
 
 T = TypeVar("T")
@@ -53,7 +54,7 @@ def load(path: Path) -> Config:
     if config.atmc.policy is not None and config.atmc.policy not in CHOOSER_WORDS:
         # Not read here: a policy that cannot be read is no configuration error, the companion then flies with
         # a fixed set of transports.
-        where = str((path.parent / config.atmc.policy).absolute())
+        where = str(named(config.atmc.policy, "policies", ".safetensors", path.parent).absolute())
         config = msgspec.structs.replace(config, atmc=msgspec.structs.replace(config.atmc, policy=where))
     if config.vehicle.signing_key is not None:
         if _KEY_DIGITS.fullmatch(config.vehicle.signing_key):
@@ -85,14 +86,14 @@ def load(path: Path) -> Config:
 
 
 def _with_region(config: Config, profile: str, path: Path) -> Config:
-    """The configuration with the region's profile, which the file names by a relative path."""
+    """The configuration with the region's profile, which the file gives by its name or by a relative path."""
     try:
-        region = decode_toml(path.parent / profile, Region)
+        region = decode_toml(named(profile, "regions", ".toml", path.parent), Region)
     except ConfigError as error:
         if isinstance(error.__cause__, FileNotFoundError | IsADirectoryError):
             raise ConfigError(
-                f"{path}: remote_id.region: {profile!r}: no such file; give the path of a profile relative "
-                f'to {path.name}, such as "regions/us.toml"; the project\'s profiles are in config/regions'
+                f"{path}: remote_id.region: {profile!r}: no such profile; allowed: the path of a profile "
+                f"relative to {path.name}, or one of {', '.join(names('regions', '.toml'))}"
             ) from error
         raise ConfigError(f"{path}: remote_id.region: {error}") from error
     remote_id = msgspec.structs.replace(config.remote_id, region=None)

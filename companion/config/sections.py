@@ -19,6 +19,8 @@ from companion.remote_id.messages import IdType, UaType
 from companion.remote_id.region import Region, TransportName
 from companion.toml_reader import SECRET
 
+EXAMPLE_ID = "1596B0000DMUCA01"
+"""Serial number in the example configurations; no aircraft may fly with it."""
 CHOOSER_WORDS = ("rule", "fixed")
 """Values of `atmc.policy` other than a path: "rule" is the one-line rule, "fixed" the best fixed legal
 set."""
@@ -237,7 +239,8 @@ class AtmcConfig(_Section, frozen=True):
     """Choice of transports and rates in flight. Without a policy they stay as configured in [remote_id]."""
 
     policy: Annotated[str, Meta(min_length=1)] | None = None
-    """Path of a policy file (relative to this file; absolute once loaded), or one of `CHOOSER_WORDS`."""
+    """Path of a policy file (relative to this file; absolute once loaded), name of a policy that comes with
+    the software (`atmc`), or one of `CHOOSER_WORDS`."""
     agent: Annotated[int, Meta(ge=0, le=99)] | None = None
     """Which network of the policy flies, if it holds one for each aircraft of its training."""
     period_s: Annotated[float, Meta(ge=0.5, le=60)] = 2.0

@@ -5,7 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from companion.broadcast.broadcaster import asked_rates
-from companion.broadcast.legal_floor import Decided, keep_floor, longest_period_s, too_slow, whole_rates
+from companion.broadcast.legal_floor import (
+    MARGIN,
+    Decided,
+    keep_floor,
+    longest_period_s,
+    too_slow,
+    whole_rates,
+)
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.remote_id.region import Region
@@ -57,10 +64,11 @@ def _on_air(decided: Decided, region: Region, wifi_channel: int | None) -> str:
     rates, reasons = [], [decided.reason] if decided.reason else []
     for transport, rate in decided.rates.items():
         period_s = longest_period_s(region, transport, wifi_channel)
-        if period_s is None or rate * period_s >= 1.0:
+        if period_s is None or rate * MARGIN * period_s >= 1.0:
             rates.append(f"{transport} {rate}/s")
             continue
-        rates.append(f"{transport} at least {1.0 / period_s:g}/s")
+        rates.append(f"{transport} {1.0 / (MARGIN * period_s):.3g}/s")
         where = f" on channel {wifi_channel}" if transport == "wifi" else ""
-        reasons.append(f"region {region.name} asks for {transport}{where} every {period_s:g} s, not {rate}/s")
+        because = "sent with a margin" if rate * period_s >= 1.0 else f"not {rate}/s"
+        reasons.append(f"region {region.name} asks for {transport}{where} every {period_s:g} s, {because}")
     return (", ".join(rates) or "nothing") + (f" ({'; '.join(reasons)})" if reasons else "")

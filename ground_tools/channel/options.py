@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from companion.errors import ConfigError
+from companion.shipped import given
 from ground_tools.channel.fixed_modes import Settings
 from sitl_mocks.channel.parameters import MODES, ChannelParameters, check_rate, load, max_rates
 
@@ -62,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_parameters(parser: argparse.ArgumentParser) -> None:
     """Add the option that names a parameter file."""
     parser.add_argument(
-        "--parameters", type=Path, metavar="FILE", help="channel parameters as TOML (default: the paper's)"
+        "--parameters", type=given, metavar="FILE", help="channel parameters as TOML (default: the paper's)"
     )
 
 

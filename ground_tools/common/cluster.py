@@ -17,6 +17,7 @@ from typing import Any, Final, TypeVar
 from rich.console import Console
 
 from companion.errors import ConfigError
+from companion.shipped import how_to_install
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -74,9 +75,7 @@ def _connect(address: str) -> Any:
     try:
         import ray
     except ImportError as error:
-        raise ConfigError(
-            "ray is not installed; to install it, run in the checkout: pip install -e '.[cluster]'"
-        ) from error
+        raise ConfigError(how_to_install("ray", "cluster")) from error
     # By default, ray tries to connect for 15 minutes.
     os.environ.setdefault("RAY_gcs_server_port_wait_time_s", "1")
     try:

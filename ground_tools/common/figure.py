@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.errors import ConfigError
+from companion.shipped import how_to_install
 
 _STYLE: Any = {
     "font.size": 13.5,
@@ -66,9 +67,7 @@ def styled(size_in: tuple[float, float], **style: Any) -> Iterator[Any]:
     try:
         import matplotlib
     except ImportError as error:
-        raise ConfigError(
-            "matplotlib is not installed; to install it, run in the checkout: pip install -e '.[inspect]'"
-        ) from error
+        raise ConfigError(how_to_install("matplotlib", "inspect")) from error
     with matplotlib.rc_context(_STYLE | style):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure

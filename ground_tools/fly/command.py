@@ -17,6 +17,7 @@ from pathlib import Path
 from companion.errors import ConfigError
 from companion.events import MissionItem
 from companion.geometry import Vec3
+from companion.shipped import given
 from ground_tools.fly import missions
 from ground_tools.fly.fleet import Fleet
 from ground_tools.fly.vehicle import Vehicle, VehicleError, load_mavsdk
@@ -49,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--mission", type=Path, action="append", metavar="FILE",
                       help="mission to upload (.plan or QGC WPL 110); once for each ADDRESS")  # fmt: skip
-    what.add_argument("--scenario", type=Path, metavar="FILE",
+    what.add_argument("--scenario", type=given, metavar="FILE",
                       help="upload the scenario's paths as missions, around the first vehicle's home; "
                       "ADDRESS k gets the path of aircraft k, and --start starts all together")  # fmt: skip
     add("--seed", type=int, default=1, help="seed of the scenario's random paths (default: 1)")

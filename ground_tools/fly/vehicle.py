@@ -31,6 +31,7 @@ from companion.autopilot.wire import names_of
 from companion.errors import ConfigError
 from companion.events import Firmware, FlightMode, MissionItem
 from companion.geometry import Vec3
+from companion.shipped import how_to_install
 from ground_tools.fly.missions import difference
 from ground_tools.fly.modes import MODES
 
@@ -86,9 +87,7 @@ def load_mavsdk() -> ModuleType:
         import mavsdk.plugins.mission_raw
         import mavsdk.plugins.telemetry
     except ImportError as error:
-        raise ConfigError(
-            "mavsdk 4 is not installed; to install it, run in the checkout: pip install -e '.[fly]'"
-        ) from error
+        raise ConfigError(how_to_install("mavsdk 4", "fly")) from error
     mavsdk.logging.log_subscribe(lambda *_: True)
     return mavsdk  # type: ignore[no-any-return]
 

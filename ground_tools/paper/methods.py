@@ -14,12 +14,13 @@ from typing import Final
 
 import numpy as np
 
+from companion.shipped import how_to_install, shipped
 from ground_tools.atmc.commands.results import NAMES, Results, Run
 from ground_tools.atmc.env.torch_setup import set_up_torch
 from ground_tools.paper.delays import SET, Delays
 from ground_tools.paper.figures.convergence import iqm, resampled
 
-POLICIES: Final = Path(__file__).parents[2] / "results" / "policies"
+POLICIES: Final = shipped("results/policies")
 SET_POLICY: Final = POLICIES / "paper-set.safetensors"
 """File of the set network that was trained for the paper's objective."""
 LEARNERS: Final = ("madqn", "maddpg", "iac")
@@ -119,7 +120,7 @@ def measured(samples: int, seed: int, policy: Path = SET_POLICY) -> tuple[Delays
 def not_measured(found: Sequence[Delays], policy: Path = SET_POLICY) -> list[str]:
     """Texts about the methods that are missing among the measured ones."""
     if not found:
-        return ["torch is not installed (pip install -e '.[train]'), so only stored runs are shown"]
+        return [f"{how_to_install('torch', 'train')}; until then only stored runs are shown"]
     if all(method.key != SET for method in found):
         return [f"set network: {policy.name} does not exist, so it is not shown"]
     return []

@@ -11,6 +11,7 @@ import msgspec
 from rich.console import Console
 
 from companion.errors import ConfigError
+from companion.shipped import CHECKOUT, given
 from ground_tools.common.progress import progress
 from ground_tools.results import kept, provenance
 from ground_tools.results.kept import Entry
@@ -45,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "was the same. Nothing is recorded for the others; exit code 1 if there are any.",
     )
     for command in (verify, record):
-        command.add_argument("paths", nargs="*", type=Path, metavar="PATH",
+        command.add_argument("paths", nargs="*", type=given, metavar="PATH",
                              help="files, or folders that hold them (default: all kept files)")  # fmt: skip
     verify.add_argument("--sample", action="store_true", help="make a sample of each file again and compare")
     record.add_argument(
@@ -82,8 +83,10 @@ def run_record(args: argparse.Namespace) -> int:
     """Run `ground-tools results record`. Returns 0 if every file was recorded, else 1.
 
     Raises:
-        ConfigError: a path names no kept file, or a record cannot be written.
+        ConfigError: this is no checkout, a path names no kept file, or a record cannot be written.
     """
+    if CHECKOUT is None:
+        raise ConfigError("record: this is an installed copy; results are recorded in a checkout only")
     words, worst = Console(), 0
     for entry in chosen_of(args.paths):
         differences = entry.remake(entry.path)

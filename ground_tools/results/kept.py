@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from companion.shipped import shipped
 from ground_tools.results import provenance
 from ground_tools.results.provenance import Provenance
-from ground_tools.results.sources import ROOT
 
-_CHANNEL: Final = ROOT / "config" / "channel" / "standard.toml"
+_CHANNEL: Final = "config/channel/standard.toml"
 _TRAINED: Final = ("numpy", "torch")
 _FLOWN: Final = ("numba", "numpy")
 
@@ -30,14 +30,14 @@ class Entry:
     roots: tuple[str, ...]
     """Modules that compute its content."""
     remake: Remake
-    data: tuple[Path, ...] = ()
-    """Data files on which its content depends."""
+    data: tuple[str, ...] = ()
+    """Data files on which its content depends, by their paths in the checkout."""
     packages: tuple[str, ...] = _FLOWN
 
     @property
     def path(self) -> Path:
         """The file."""
-        return ROOT / self.name
+        return shipped(self.name)
 
     def now(self) -> Provenance:
         """Its record if it were made by today's software."""
@@ -93,8 +93,7 @@ def _tables() -> list[Entry]:
 def _flown() -> list[Entry]:
     from ground_tools.paper.closed_loop.flights import ATMC, CONDITIONS, METHODS
 
-    policy = ROOT / "config" / "policies" / "atmc.safetensors"
-    region = ROOT / "config" / "regions" / "us.toml"
+    policy, region = "config/policies/atmc.safetensors", "config/regions/us.toml"
     return [
         Entry(
             f"results/atmc/closed-loop/{condition}-{method}.jsonl",

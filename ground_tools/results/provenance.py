@@ -12,6 +12,7 @@ from typing import Literal
 import msgspec
 
 from companion.errors import ConfigError
+from companion.shipped import shipped
 from ground_tools.results import sources
 
 
@@ -31,14 +32,21 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Versions of the packages that compute, and of Python."""
 
 
-def now(command: str, roots: Iterable[str], data: Iterable[Path], packages: Iterable[str]) -> Provenance:
-    """The record of a file that is made by today's software."""
+def now(command: str, roots: Iterable[str], data: Iterable[str], packages: Iterable[str]) -> Provenance:
+    """The record of a file that is made by today's software.
+
+    Args:
+        command: the command that makes it.
+        roots: names of the modules that compute it.
+        data: files that come with the software on which it depends, by their paths in the checkout.
+        packages: names of the packages that compute.
+    """
     return Provenance(
         command=command,
         evidence="made",
         sources=sources.digests(roots),
-        data={str(path.relative_to(sources.ROOT)): _digest(path) for path in data},
-        packages={"python": platform.python_version(), **{name: metadata.version(name) for name in packages}},
+        data={name: _digest(shipped(name)) for name in data},
+        packages={"python": platform.python_version(), **{name: _version(name) for name in packages}},
     )
 
 
@@ -81,6 +89,14 @@ def write(path: Path, provenance: Provenance) -> None:
         record.write_bytes(msgspec.json.format(msgspec.json.encode(provenance), indent=1) + b"\n")
     except OSError as error:
         raise ConfigError(f"{record}: cannot be written: {error.strerror}") from error
+
+
+def _version(package: str) -> str:
+    """Version of a package; verifying needs none of those that only train."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"
 
 
 def _digest(path: Path) -> str:

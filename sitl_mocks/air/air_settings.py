@@ -12,6 +12,7 @@ from msgspec import Meta
 from companion.errors import ConfigError
 from companion.remote_id.region import TransportName
 from companion.remote_id.transports import WIFI_BEACON, WIFI_NAN
+from companion.shipped import given
 from sitl_mocks.channel import parameters as channel_parameters
 from sitl_mocks.channel.air import Channel
 from sitl_mocks.channel.equations.air_analytic import AnalyticChannel
@@ -118,7 +119,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--channel", choices=get_args(Model), help="radio channel model (default: interval)")
     parser.add_argument(
         "--parameters",
-        type=Path,
+        type=given,
         metavar="FILE",
         help="channel parameters (TOML); default: those of the paper",
     )

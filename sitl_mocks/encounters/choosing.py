@@ -25,6 +25,7 @@ from companion.event_record import Record, Step
 from companion.events import BroadcastChanged, TransportsChosen
 from companion.runtime.policy import RUN_FILE
 from companion.runtime.policy import read_policy as read_file
+from companion.shipped import given
 from sitl_mocks.encounters import scenario_file
 from sitl_mocks.encounters.scenario_file import POLICY_WORDS, Scenario
 
@@ -40,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what chooses each aircraft's transports in flight (default: they stay fixed)",
     )
     parser.add_argument(
-        "--region", type=Path, metavar="FILE", help="region profile (default: no legal rules)"
+        "--region", type=given, metavar="FILE", help="region profile (default: no legal rules)"
     )
 
 
@@ -52,7 +53,7 @@ def with_options(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
     """
     policy, region = arguments.policy, arguments.region
     if policy is not None:
-        where = policy if policy in POLICY_WORDS else str(Path(policy).absolute())
+        where = policy if policy in POLICY_WORDS else str(given(policy).absolute())
         atmc = msgspec.structs.replace(scenario.atmc, policy=where)
         scenario = msgspec.structs.replace(scenario, atmc=atmc)
     if region is not None:

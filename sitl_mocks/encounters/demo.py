@@ -26,6 +26,7 @@ from companion.config import Config
 from companion.errors import ConfigError
 from companion.runtime.record.recorder import EventFile, create_run_folder, write_json, write_manifest
 from companion.runtime.warm import warm_up
+from companion.shipped import given
 from companion.toml_reader import without_none
 from sitl_mocks.air import air_settings
 from sitl_mocks.encounters import choosing, scenario_file
@@ -58,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that choose and change a scenario."""
-    parser.add_argument("--scenario", type=Path, help="scenario file (TOML); default: S2 with five aircraft")
+    parser.add_argument("--scenario", type=given, help="scenario file (TOML); default: S2 with five aircraft")
     parser.add_argument("--aircraft", type=int, metavar="N", help="number of aircraft (2-100)")
     air_settings.add_arguments(parser)
     parser.add_argument(

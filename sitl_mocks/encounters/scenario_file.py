@@ -16,6 +16,7 @@ from msgspec import Meta
 from companion.config import CHOOSER_WORDS, AtmcConfig, AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
 from companion.remote_id.region import Region
+from companion.shipped import named
 from companion.toml_reader import decode_toml
 from sitl_mocks.air.air_settings import DEFAULT_DELAY_S, AirSettings, check_allowed, load_parameters
 from sitl_mocks.channel.parameters import ChannelParameters
@@ -118,7 +119,7 @@ def _with_region(scenario: Scenario, path: Path) -> Scenario:
     if scenario.region != Region():
         raise ConfigError(f"{path}: region: give either region or air.region, not both")
     try:
-        region = load_region(path.parent / name)
+        region = load_region(named(name, "regions", ".toml", path.parent))
     except ConfigError as error:
         raise ConfigError(f"{path}: air.region: {error}") from error
     air = msgspec.structs.replace(scenario.air, region=None)
@@ -130,7 +131,9 @@ def _with_policy(scenario: Scenario, path: Path) -> Scenario:
     name = scenario.atmc.policy
     if name is None or name in POLICY_WORDS:
         return scenario
-    atmc = msgspec.structs.replace(scenario.atmc, policy=str((path.parent / name).absolute()))
+    atmc = msgspec.structs.replace(
+        scenario.atmc, policy=str(named(name, "policies", ".safetensors", path.parent).absolute())
+    )
     return msgspec.structs.replace(scenario, atmc=atmc)
 
 
@@ -147,7 +150,7 @@ def _with_parameters(scenario: Scenario, path: Path) -> Scenario:
     if scenario.channel is not None:
         raise ConfigError(f"{path}: channel: give either channel or air.parameters, not both")
     try:
-        channel = load_parameters(path.parent / name, scenario.air)
+        channel = load_parameters(named(name, "channel", ".toml", path.parent), scenario.air)
     except ConfigError as error:
         raise ConfigError(f"{path}: air.parameters: {error}") from error
     air = msgspec.structs.replace(scenario.air, parameters=None)

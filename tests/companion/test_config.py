@@ -48,7 +48,7 @@ def write(folder: Path, text: str, name: str = "c.toml") -> Path:
         ),
         (
             IDENTITY + "[limits]\nmax_sped_mps = 5\n",
-            "limits.max_sped_mps: unknown key; allowed here: ",
+            "limits.max_sped_mps: unknown key; did you mean max_speed_mps? allowed here: ",
         ),
         (
             IDENTITY + '[limits]\nmax_speed_mps = "x"\n',
@@ -69,15 +69,15 @@ def write(folder: Path, text: str, name: str = "c.toml") -> Path:
         (IDENTITY + '[[radio]]\nbackend = "ether"\n', "radio[0].address: missing"),
         (
             IDENTITY + '[[radio]]\nbackend = "hci"\nchanel = "user:0"\n',
-            "radio[0].chanel: unknown key; allowed here: channel, send, listen",
+            "radio[0].chanel: unknown key; did you mean channel? allowed here: channel, send, listen",
         ),
         (IDENTITY + '[[radio]]\nbackend = "wifi"\n', "radio[0]: needs hostapd, inject or monitor"),
         (
-            IDENTITY + '[remote_id]\nregion = "us"\n',
-            "c.toml: remote_id.region: 'us': no such file; give the path of a profile relative to "
-            'c.toml, such as "regions/us.toml"; the project\'s profiles are in config/regions',
+            IDENTITY + '[remote_id]\nregion = "usa"\n',
+            "c.toml: remote_id.region: 'usa': no such profile; allowed: the path of a profile relative to "
+            "c.toml, or one of eu, jp, none, us",
         ),
-        (IDENTITY + '[remote_id]\nregion = "."\n', "c.toml: remote_id.region: '.': no such file; give"),
+        (IDENTITY + '[remote_id]\nregion = "."\n', "c.toml: remote_id.region: '.': no such profile; allowed"),
         (IDENTITY + '[remote_id]\nregion = "c.toml"\n', "c.toml: identity: unknown key"),
         (
             IDENTITY + '[remote_id]\ntransports = "wifi"\n',
@@ -171,7 +171,11 @@ def test_no_error_text_holds_the_operators_secret(tmp_path, value):
     [
         ("t_s = 60.0", "t_s = 0.0", "waypoint[1].t_s: 0 s is not after the one before it (0 s)"),
         ("lat_deg = 47.001", "lat_deg = 97.0", "waypoint[1].lat_deg: 97.0: expected a number, -90 to 90"),
-        ("alt_m = 30.0 }", "alt = 30.0 }", "waypoint[0].alt: unknown key; allowed here: t_s, lat_deg"),
+        (
+            "alt_m = 30.0 }",
+            "alt = 30.0 }",
+            "waypoint[0].alt: unknown key; did you mean alt_m? allowed here: t_s, lat_deg",
+        ),
         ('"home"', '"hom"', "altitude: 'hom': allowed: 'home', 'msl', 'geodetic'"),
     ],
 )
@@ -405,7 +409,10 @@ def test_the_vehicles_own_fence_needs_no_file(tmp_path):
         (None, "fence.toml: cannot be read: No such file"),
         ("", "fence.toml: area: missing"),
         ("[[area]\n", "fence.toml: not valid TOML"),
-        (FENCE + "radius = 3\n", "fence.toml: area[1].radius: unknown key; allowed here: inclusion, points"),
+        (
+            FENCE + "radius = 3\n",
+            "fence.toml: area[1].radius: unknown key; did you mean radius_m? allowed here: inclusion, points",
+        ),
         (FENCE + "\n[[area]]\ninclusion = 1\n", "fence.toml: area[2].inclusion: "),
         (FENCE.replace("[47.01, 8.0]", "[97.0, 8.0]"), "fence.toml: area[0].points[1]: latitude 97.0"),
         (FENCE.replace(", [47.01, 8.01]", ""), "fence.toml: area[0].points: 2 points"),

@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.errors import ConfigError
+from companion.shipped import CHECKOUT
 from ground_tools.atmc.commands.results import CONVERGENCE, NAMES, UAV_EVERY, Results, Run, read, write
 from ground_tools.atmc.env.torch_setup import set_up_torch
 from ground_tools.common.progress import progress
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from ground_tools.atmc.learners.flat import Stack
     from ground_tools.atmc.learners.training import Job
 
+_OUT = Path(CONVERGENCE.name) if CHECKOUT is None else CONVERGENCE
+"""An installed copy keeps its own file as it came."""
 _FLEETS = 250
 _SEED = 3_000_017
 """Seed of the measurement. No run and no validation set uses it."""
@@ -53,9 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out",
         type=Path,
-        default=CONVERGENCE,
+        default=_OUT,
         metavar="FILE",
-        help="results file to write (default: results/atmc/convergence.json.gz)",
+        help=f"results file to write (default: {_OUT})",
     )
     parser.add_argument(
         "--add", action="store_true", help="add to the runs in FILE; replace those of the same seed"

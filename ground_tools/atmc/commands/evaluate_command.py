@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -12,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.errors import ConfigError
+from companion.shipped import given
 from ground_tools.atmc.env.torch_setup import set_up_torch
 from ground_tools.channel.options import check_seed
 
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "examples:\n  ground-tools atmc evaluate --policy config/policies/atmc.safetensors --region eu\n"
         "  ground-tools atmc evaluate --policy FILE --uavs 50 --samples 100 --load 0.5 --json"
     )
-    parser.add_argument("--policy", type=Path, required=True, metavar="FILE", help="the frozen policy")
+    parser.add_argument("--policy", type=given, required=True, metavar="FILE", help="the frozen policy")
     parser.add_argument(
         "--objective",
         choices=("paper", "awareness"),

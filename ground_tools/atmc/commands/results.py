@@ -12,8 +12,9 @@ from typing import Final
 import msgspec
 
 from companion.errors import ConfigError
+from companion.shipped import shipped
 
-CONVERGENCE: Final = Path(__file__).parents[3] / "results" / "atmc" / "convergence.json.gz"
+CONVERGENCE: Final = shipped("results/atmc/convergence.json.gz")
 """Results file of the paper's algorithms."""
 NAMES: Final = {
     "madqn": "MADQN-ATMC",

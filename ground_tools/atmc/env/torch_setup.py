@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from companion.errors import ConfigError
+from companion.shipped import how_to_install
 
 
 @contextmanager
@@ -18,9 +19,7 @@ def needs_torch() -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        raise ConfigError(
-            f"{error.name} is not installed; to install it, run in the checkout: pip install -e '.[train]'"
-        ) from error
+        raise ConfigError(how_to_install(str(error.name), "train")) from error
 
 
 def set_up_torch() -> None:

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from companion.errors import ConfigError
+from companion.shipped import how_to_install
 from ground_tools.campaign.attacks import flight
 from ground_tools.campaign.attacks.kinds import KINDS, Attack, attack_at
 from ground_tools.campaign.attacks.outcome import Row
@@ -68,7 +69,7 @@ def worst(
     try:
         import cma
     except ImportError as error:
-        raise ConfigError("the search needs the package cma: pip install 'dmuca[search]'") from error
+        raise ConfigError(how_to_install("cma", "search")) from error
     count = len(KINDS[cell.kind].parameters)
     drawn = flight.fly(cell, seed)
     best: tuple[float, Attack, Row] | None = None

@@ -21,6 +21,7 @@ from companion.errors import ConfigError
 from companion.events import AdsbVehicle, AnyEvent, RemoteIdHeard
 from companion.geometry import Vec3
 from companion.remote_id.messages import Location
+from companion.shipped import how_to_install
 from ground_tools.inspect.explain.manoeuvres import Manoeuvre
 from ground_tools.inspect.read.flown import TRUE, Flown, Separation, fixes_of, to_ned
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
@@ -277,7 +278,7 @@ def write_parquet(blocks: Iterator[Rows], columns: tuple[str, ...], path: Path) 
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError as error:
-        raise ConfigError("pyarrow is not installed; in the checkout: pip install -e '.[inspect]'") from error
+        raise ConfigError(how_to_install("pyarrow", "inspect")) from error
     kinds = {"time_utc": pa.timestamp("us", tz="UTC")}
     kinds |= dict.fromkeys(_FLAGS, pa.bool_()) | dict.fromkeys(_WORDS, pa.string())
     schema = pa.schema([(name, kinds.get(name, pa.float64())) for name in columns])

@@ -19,6 +19,7 @@ from companion.arrays import Bools, Float32s, Floats
 from companion.autopilot.dialect import in_mode
 from companion.event_record import Step
 from companion.events import (
+    AdsbVehicle,
     AlertChanged,
     AnyCommand,
     AnyEvent,
@@ -52,6 +53,7 @@ from companion.events import (
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, Location
 from companion.traffic.fix import make_fix
+from ground_tools.inspect.read.nearness import AdsbTally, Approaches, HeardAdsb
 from ground_tools.inspect.read.spill import BLOCK, Spill
 
 _OWN_AGE_S = 2.0
@@ -59,6 +61,8 @@ _OWN_AGE_S = 2.0
 _CLOCK_OFF_S = 5.0
 """A sender's timestamp that differs from the time of reception by more than this is ignored."""
 
+_FIX = 8
+"""Columns of a fix."""
 _RARE = (
     AlertChanged,
     AuthorityChanged,
@@ -89,11 +93,8 @@ class Heard:
     uas_ids: tuple[str, ...]
     """Identities (UAS ids) received from this address."""
     near: Floats
-    """(m, 2) now_s and slant distance (m) to the aircraft's own position; one row a second with its minimum.
-
-    The reported position is extrapolated to the time of reception. The distance is horizontal if a height is
-    unknown.
-    """
+    """(m, 4) approaches to the aircraft's own position, as `nearness.Approaches.rows`. The reported position
+    is extrapolated to the time of reception."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,12 +137,10 @@ class Facts:
     end_s: float
     """`now_s` of the last step; 0 if there are no steps."""
     fixes: Floats
-    """Own positions, (n, 7): now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s), with strictly
-    rising now_s. A long table lies in a temporary file (`spill`)."""
-    max_height_m: float | None
-    """Maximum height above home; None without fixes."""
+    """Own positions, (n, 8): now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s), height above home
+    (m), with strictly rising now_s. A long table lies in a temporary file (`spill`)."""
     decided: Floats
-    """As `fixes`, but taken from the decisions. Empty if there are any fixes."""
+    """As `fixes`, but taken from the decisions, without a height above home. Empty if there are any fixes."""
     decisions: Decisions
     utc_offset_s: float | None
     """Offset from `now_s` to UTC; None if the aircraft never knew UTC."""
@@ -151,6 +150,8 @@ class Facts:
     """now_s of every broadcast, by transport."""
     heard: dict[str, Heard]
     """Received frames, by radio address."""
+    adsb: dict[str, HeardAdsb]
+    """Aircraft heard by ADS-B, by their ICAO addresses."""
     tracks: dict[str, TrackFacts]
     """Tracks in the law's decisions, by track id."""
     rare: tuple[tuple[float, AnyEvent | AnyCommand], ...]
@@ -178,8 +179,7 @@ class Gatherer:
         self.start_s = self.end_s = 0.0
         self.fixes = array("d")
         """The latest fixes; earlier ones are in `_spill`."""
-        self._spill = Spill(7)
-        self.max_height_m: float | None = None
+        self._spill = Spill(_FIX)
         self.decided = array("d")
         self.decisions = array("d")
         self.speeds = array("f")
@@ -187,7 +187,8 @@ class Gatherer:
         self.utc = array("d")
         self.undulation = array("d")
         self.sent: dict[str, array[float]] = {}
-        self.heard: dict[str, tuple[array[float], set[str], set[str], array[float]]] = {}
+        self.heard: dict[str, tuple[array[float], set[str], set[str], Approaches]] = {}
+        self.adsb = AdsbTally()
         self.frame: LocalFrame | None = None
         self.tracks: dict[str, _Track] = {}
         self.rare: list[tuple[float, AnyEvent | AnyCommand]] = []
@@ -206,19 +207,18 @@ class Gatherer:
         match item:
             case GlobalPosition():
                 del self.decided[:]
-                if len(self.fixes) >= 7 and self.fixes[-7] >= now_s:
-                    del self.fixes[-7:]  # the last of several fixes in one step counts
-                height_m = item.height_above_home_m
-                if self.max_height_m is None or height_m > self.max_height_m:
-                    self.max_height_m = height_m
+                if len(self.fixes) >= _FIX and self.fixes[-_FIX] >= now_s:
+                    del self.fixes[-_FIX:]  # the last of several fixes in one step counts
                 place = (item.lat_deg, item.lon_deg, item.alt_msl_m)
-                if len(self.fixes) >= 7 * BLOCK:
+                if len(self.fixes) >= _FIX * BLOCK:
                     # Keep the last fix in memory, because it may still be replaced.
-                    self._spill.write(memoryview(self.fixes)[:-7])
-                    del self.fixes[:-7]
-                self.fixes.extend((now_s, *place, *item.velocity_ned_mps))
+                    self._spill.write(memoryview(self.fixes)[:-_FIX])
+                    del self.fixes[:-_FIX]
+                self.fixes.extend((now_s, *place, *item.velocity_ned_mps, item.height_above_home_m))
             case RemoteIdHeard():
                 self._hear(now_s, item)
+            case AdsbVehicle():
+                self.adsb.hear(now_s, item, self._own(now_s, geometric=item.alt_geometric))
             case Broadcast():
                 self.sent.setdefault(item.transport, array("d")).append(now_s)
             case Decision():
@@ -249,34 +249,41 @@ class Gatherer:
 
     def _hear(self, now_s: float, event: RemoteIdHeard) -> None:
         times, transports, names, near = self.heard.setdefault(
-            event.address, (array("d"), set(), set(), array("d"))
+            event.address, (array("d"), set(), set(), Approaches())
         )
         times.append(now_s)
         transports.add(event.transport)
         names.update(m.uas_id for m in event.messages if isinstance(m, BasicId) and m.uas_id)
         for message in event.messages:
-            if isinstance(message, Location) and (distance := self._distance_m(now_s, message)) is not None:
-                if not near or now_s - math.floor(near[-2]) >= 1.0:
-                    near.extend((now_s, distance))
-                elif distance < near[-1]:
-                    near[-2], near[-1] = now_s, distance
+            if isinstance(message, Location):
+                self._approach(now_s, message, near)
 
-    def _distance_m(self, now_s: float, message: Location) -> float | None:
-        """Distance from the own position to a reported one, which is extrapolated to now."""
-        if len(self.fixes) < 7 or now_s - self.fixes[-7] > _OWN_AGE_S:
+    def _own(self, now_s: float, *, geometric: bool = False) -> tuple[float, float, float] | None:
+        """Own latitude, longitude and altitude above mean sea level, or above the ellipsoid; None if it is
+        unknown or old."""
+        if len(self.fixes) < _FIX or now_s - self.fixes[-_FIX] > _OWN_AGE_S:
             return None
-        lat, lon, alt = self.fixes[-6], self.fixes[-5], self.fixes[-4]
+        above_msl_m = self.undulation[-1] if geometric and self.undulation else 0.0
+        _, lat_deg, lon_deg, alt_msl_m = self.fixes[-_FIX : 4 - _FIX]
+        return lat_deg, lon_deg, alt_msl_m + above_msl_m
+
+    def _approach(self, now_s: float, message: Location, near: Approaches) -> None:
+        """Add where a reported position is from the own one; it is extrapolated to now."""
+        here = self._own(now_s)
+        if here is None:
+            return
+        lat, lon, alt = here
         self.frame = self.frame or LocalFrame(lat, lon, alt)
         utc = self.utc[-1] if self.utc else None
         undulation = self.undulation[-1] if self.undulation else None
         fix = make_fix(message, now_s, utc, self.frame, undulation, _CLOCK_OFF_S)
         if fix is None:
-            return None
+            return
         age = 0.0 if fix.stamp_s is None else max(now_s - fix.stamp_s, 0.0)
         velocity = fix.velocity or (0.0, 0.0, 0.0)
         own = self.frame.to_ned(lat, lon, alt)
-        away = [p + v * age - o for p, v, o in zip(fix.position, velocity, own, strict=True)]
-        return math.hypot(*(away if fix.vertical_known else away[:2]))
+        north, east, down = (p + v * age - o for p, v, o in zip(fix.position, velocity, own, strict=True))
+        near.add(now_s, (north, east, down), vertical_known=fix.vertical_known)
 
     def _decide(self, now_s: float, one: Decision) -> None:
         conflict = False
@@ -298,10 +305,10 @@ class Gatherer:
         self.feasible.append(one.feasible)
         self.conflict.append(conflict)
         if not self.fixes:
-            if len(self.decided) >= 7 and self.decided[-7] >= now_s:
-                del self.decided[-7:]
+            if len(self.decided) >= _FIX and self.decided[-_FIX] >= now_s:
+                del self.decided[-_FIX:]
             place = pymap3d.ned2geodetic(*one.position_ned_m, *one.origin)
-            self.decided.extend((now_s, *place, *one.velocity_ned_mps))
+            self.decided.extend((now_s, *place, *one.velocity_ned_mps, math.nan))
 
     def facts(self) -> Facts:
         """Return everything gathered. The arrays are shared, not copied, so no further step can be added."""
@@ -310,8 +317,7 @@ class Gatherer:
             start_s=self.start_s,
             end_s=self.end_s,
             fixes=self._all_fixes(),
-            max_height_m=self.max_height_m,
-            decided=np.asarray(self.decided).reshape(-1, 7),
+            decided=np.asarray(self.decided).reshape(-1, _FIX),
             decisions=Decisions(
                 now_s=np.asarray(self.decisions),
                 speeds_mps=np.asarray(self.speeds).reshape(-1, 3),
@@ -326,10 +332,11 @@ class Gatherer:
                     np.asarray(times),
                     tuple(sorted(transports)),
                     tuple(sorted(names)),
-                    np.asarray(near).reshape(-1, 2),
+                    near.rows(),
                 )
                 for address, (times, transports, names, near) in self.heard.items()
             },
+            adsb=self.adsb.heard(),
             tracks={name: _track_facts(found) for name, found in self.tracks.items()},
             rare=tuple(self.rare),
         )
@@ -338,7 +345,7 @@ class Gatherer:
         if self._spill:
             self._spill.write(memoryview(self.fixes))
             return self._spill.rows()
-        return np.asarray(self.fixes).reshape(-1, 7)
+        return np.asarray(self.fixes).reshape(-1, _FIX)
 
 
 def _track_facts(found: _Track) -> TrackFacts:

@@ -1,7 +1,8 @@
-"""Figures of one aircraft's flight: arming, distance, speeds, modes, authority, alerts, faults."""
+"""Figures of one aircraft's flight: arming, distance, speeds, modes, authority, alerts."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -11,26 +12,13 @@ from companion.avoidance.alerts import Level
 from companion.events import (
     AlertChanged,
     AuthorityChanged,
-    BroadcastChanged,
-    EstimatorState,
-    FenceRefused,
     Heartbeat,
-    MissionRefused,
-    ModeRefused,
-    RadioState,
-    RemoteIdModule,
-    Say,
-    Severity,
-    TrackFlagged,
-    VehicleText,
 )
 from ground_tools.inspect.read.flown import MAX_GAP_S, to_ned
+from ground_tools.inspect.read.heights import spikes
 from ground_tools.inspect.read.modes import mode_name
 from ground_tools.inspect.read.read_run import AircraftRecord
 from ground_tools.inspect.read.spill import BLOCK, release
-
-_ENDED = frozenset({"fault", "yielded"})
-_REBOOT = "its clock started again from 0, so it restarted"
 
 
 def flight(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
@@ -38,14 +26,17 @@ def flight(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
     fixes = record.facts.fixes
     speed: float | None = None
     distance: float | None = None
+    highest = -math.inf
     if len(fixes):
         speed = distance = 0.0
         for at in range(0, len(fixes), BLOCK):
             rows = fixes[at : at + BLOCK + 1]
-            speed = max(speed, float(np.hypot(rows[:, 4], rows[:, 5]).max()))
+            rows = rows[~spikes(rows[:, 0], rows[:, 7])]
+            speed = max(speed, float(np.hypot(rows[:, 4], rows[:, 5]).max(initial=0.0)))
             places = to_ned(rows[:, 1:4], (fixes[0, 1], fixes[0, 2], fixes[0, 3]))
             steps, passed = np.linalg.norm(np.diff(places, axis=0), axis=1), np.diff(rows[:, 0])
             distance += float(steps[passed <= MAX_GAP_S].sum())
+            highest = max(highest, float(rows[:, 7].max(initial=highest)))
             release(fixes)
     beats = [(now_s, what) for now_s, what in record.facts.rare if isinstance(what, Heartbeat)]
     armed = _spans(beats, record.facts.end_s, lambda beat: beat.armed)
@@ -57,7 +48,7 @@ def flight(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
         "armed": [{"from_s": a + offset_s, "to_s": b + offset_s} for a, b, _ in armed],
         "distance_m": distance,
         "max_speed_mps": speed,
-        "max_height_m": record.facts.max_height_m,
+        "max_height_m": highest if math.isfinite(highest) else None,
         "modes": [
             {"from_s": a + offset_s, "to_s": b + offset_s, "mode": mode}
             for a, b, mode in _spans(beats, record.facts.end_s, mode_name)
@@ -108,44 +99,6 @@ def alerts(record: AircraftRecord, offset_s: float) -> list[dict[str, Any]]:
     ]
 
 
-def faults(record: AircraftRecord, offset_s: float) -> list[dict[str, Any]]:
-    """Return what went wrong, in order of time: lost authority, refused requests, doubted tracks, reboots,
-    warnings."""
-    found = [(now_s, words) for now_s, what in record.facts.rare if (words := _fault(what)) is not None]
-    if record.link is not None:
-        found += [(now_s, ("vehicle", _REBOOT)) for now_s in record.link.reboots_s.tolist()]
-    found.sort(key=lambda row: row[0])
-    return [{"time_s": now_s + offset_s, "what": what, "text": text} for now_s, (what, text) in found]
-
-
-def _fault(what: object) -> tuple[str, str] | None:
-    match what:
-        case AuthorityChanged(state=state, reason=reason) if state in _ENDED:
-            return f"authority: {state}", reason
-        case ModeRefused(mode=mode, reason=reason):
-            return f"mode {mode.value} refused", reason
-        case MissionRefused(reason=reason):
-            return "mission refused", reason
-        case FenceRefused(reason=reason):
-            return "fence refused", reason
-        case TrackFlagged(track_id=track, flag=flag, text=text):
-            return f"track {track}: {flag}", text
-        case BroadcastChanged(legal=False, reason=reason):
-            return "Remote ID not legal", reason
-        case RadioState(text=text) if text:
-            return "radio", text
-        case RemoteIdModule(ready=False, text=text):
-            return "Remote ID module not ready", text
-        case EstimatorState(usable=False):
-            return "estimator", "it does not know its position"
-        case VehicleText(severity=severity, text=text) if severity <= Severity.WARNING:
-            return "vehicle", text
-        case Say(severity=severity, text=text) if severity <= Severity.WARNING:
-            return "companion", text
-        case _:
-            return None
-
-
 def missing(record: AircraftRecord) -> list[str]:
     """Return what this record does not contain, as text."""
     facts, found = record.facts, []
@@ -159,6 +112,12 @@ def missing(record: AircraftRecord) -> list[str]:
         found.append(f'the law made no decision: flight.use was "{use}", or the companion never took control')
     if not len(facts.fixes):
         found.append("the aircraft's own position is missing")
+    elif len(gaps := np.flatnonzero(np.diff(facts.fixes[:, 0]) > MAX_GAP_S)):
+        longest_s = float(np.diff(facts.fixes[:, 0])[gaps].max())
+        found.append(
+            f"the aircraft's own position is missing for more than {MAX_GAP_S:g} s in {len(gaps)} "
+            f"{'places' if len(gaps) > 1 else 'place'}, at most for {longest_s:.1f} s; drawings show a gap"
+        )
     if not any(isinstance(what, Heartbeat) for _, what in facts.rare):
         found.append("heartbeats are missing, so arming and modes are not known")
     if facts.utc_offset_s is None:

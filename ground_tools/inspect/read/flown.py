@@ -312,7 +312,7 @@ def from_frame(position_ned_m: Floats, frame_origin: Vec3, origin: Vec3) -> Floa
 
 
 def fixes_of(record: AircraftRecord) -> Floats:
-    """Return (n, 7): now_s (strictly rising), lat_deg, lon_deg, alt_msl_m, north, east, down (m/s)."""
+    """Return (n, 8) as `Facts.fixes`."""
     facts = record.facts
     return facts.fixes if len(facts.fixes) else facts.decided
 

@@ -38,6 +38,9 @@ _OTHER_KINDS = {
     b"PK": "an archive (unpack it first)",
 }
 """First bytes of other file types that users often keep next to their logs, with the text for the error."""
+_RECORDS = (".events", ".tlog")
+_MOST_NAMED = 5
+"""Most runs that are named for a folder that holds them."""
 TELLING_S = 0.05
 """If the log's clock differs from the vehicle's UTC by more than this, a note says so."""
 STAMPED = "no vehicle sent UTC (SYSTEM_TIME); times are the log's own time stamps, by the clock of its writer"
@@ -148,11 +151,20 @@ def read_run(path: Path) -> Run:
     for events, tlog in _flights(path, manifest, problems):
         aircraft += _flight(events, tlog, path, problems, notes)
     if not aircraft:
-        found = (
-            "; ".join(problems) or "the folder has no event record (*.events) and no telemetry log (*.tlog)"
-        )
+        found = "; ".join(problems) or _other_runs(path)
         raise ConfigError(f"{path}: {found}")
     return Run(path, manifest, summary, tuple(aircraft), tuple(problems), tuple(notes))
+
+
+def _other_runs(folder: Path) -> str:
+    """What a folder holds that has no record itself: perhaps runs, of which the newest are named."""
+    nothing = "the folder has no event record (*.events) and no telemetry log (*.tlog)"
+    inside = {path.parent for kind in _RECORDS for path in folder.glob(f"*/*{kind}")}
+    if not inside:
+        return nothing
+    newest = sorted(inside, key=lambda path: path.name, reverse=True)
+    named = ", ".join(str(path) for path in newest[:_MOST_NAMED])
+    return f"{nothing}, but {len(inside)} runs; name one of them; the newest: {named}"
 
 
 def _file(path: Path) -> Run:

@@ -7,6 +7,8 @@ comes from logs is untrusted and is escaped.
 from __future__ import annotations
 
 import html
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from ground_tools.inspect.explain import manoeuvres
 from ground_tools.inspect.explain.manoeuvres import Manoeuvre
 from ground_tools.inspect.read.flown import GRID_S, flown, thinned
 from ground_tools.inspect.read.read_run import Run
-from ground_tools.inspect.report import plots, terminal
+from ground_tools.inspect.report import headline, lanes, plots, terminal
 from ground_tools.inspect.report.terminal import Rows, number, plain
 
 MOST_DRAWN = 24
@@ -25,36 +27,51 @@ _LONGEST_WORD = 20
 """A word with more characters may be broken anywhere."""
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 _STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.45 system-ui, "DejaVu Sans", sans-serif; color: #1b1b1b; background: #fff;
+:root { color-scheme: light dark; --ink: #1b1b1b; --paper: #fff; --soft: #444; --line: #ddd; --edge: #555;
+  --bad: #b00020; --gone: #fff6dd; }
+@media screen and (prefers-color-scheme: dark) {
+  :root { --ink: #e8e8e8; --paper: #16181b; --soft: #b9bdc3; --line: #3a3e44; --edge: #8a9099; --bad: #ff8a80;
+    --gone: #3a3015; }
+  a { color: #8ab4f8; }
+}
+body { font: 15px/1.45 system-ui, "DejaVu Sans", sans-serif; color: var(--ink); background: var(--paper);
   max-width: 1060px; margin: 0 auto; padding: 1.2rem; }
+nav { font-size: 12.5px; }
+nav a { margin-right: .9rem; white-space: nowrap; }
 h1 { font-size: 1.5rem; margin: 0 0 .3rem; overflow-wrap: anywhere; }
 h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; border-bottom: 2px solid #0072b2; break-after: avoid; }
 h3 { font-size: 1rem; margin: 1.2rem 0 .3rem; break-after: avoid; overflow-wrap: anywhere; }
 p, li { overflow-wrap: anywhere; }
 .verdicts li { font-weight: 600; }
-.bad { color: #b00020; }
-.gone { background: #fff6dd; border-left: 4px solid #e69f00; padding: .5rem .8rem; }
+.bad { color: var(--bad); }
+.gone { background: var(--gone); border-left: 4px solid #e69f00; padding: .5rem .8rem; }
+.about { color: var(--soft); font-size: 12.5px; }
 table { border-collapse: collapse; width: 100%; font-size: 12.5px; margin: .4rem 0 1rem; }
-th { text-align: left; vertical-align: bottom; border-bottom: 1.5px solid #555;
+th { text-align: left; vertical-align: bottom; border-bottom: 1.5px solid var(--edge);
   padding: .2rem .5rem .2rem 0; }
-td { border-bottom: 1px solid #ddd; padding: .2rem .5rem .2rem 0; vertical-align: top;
+td { border-bottom: 1px solid var(--line); padding: .2rem .5rem .2rem 0; vertical-align: top;
   font-variant-numeric: tabular-nums; }
 td.long { overflow-wrap: anywhere; }
 tr { break-inside: avoid; }
 tbody tr:nth-child(-n+4), tbody tr:nth-last-child(-n+4):not(:last-child) { break-after: avoid; }
+.wide { overflow-x: auto; }
 figure { margin: .6rem 0; break-inside: avoid; }
-figure svg { width: 100%; height: auto; }
+figure svg { width: 100%; height: auto; background: #fff; }
 .manoeuvre figure svg { max-width: 34rem; }
-figcaption { font-size: 12.5px; color: #444; }
+figcaption { font-size: 12.5px; color: var(--soft); }
 .manoeuvre { break-inside: avoid; }
-.note { font-size: 12.5px; color: #444; }
+.note { font-size: 12.5px; color: var(--soft); }
+@media screen and (max-width: 640px) {
+  body { padding: .7rem; }
+  td, th { min-width: 3.2rem; }
+}
 @page { size: A4; margin: 14mm; }
 @media print {
   body { max-width: none; padding: 0; font-size: 10pt; }
   table { font-size: 8pt; }
   .page { break-before: page; }
   nav { display: none; }
+  .wide { overflow: visible; }
 }
 """
 
@@ -89,7 +106,7 @@ def page(run: Run, figures: dict[str, Any]) -> str:
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{title}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
-        + "\n".join(parts)
+        + "\n".join((parts[0], _contents(parts), *parts[1:]))
         + "\n</body>\n</html>\n"
     )
 
@@ -114,16 +131,19 @@ def _head(run: Run, figures: dict[str, Any]) -> str:
     software = {one["software"] for one in figures["aircraft"] if one["software"] is not None}
     facts += [f"flown with version {version}" for version in sorted(software)]
     verdicts = "".join(
-        f"<li{' class=bad' if 'LOST' in words or 'NOT' in words else ''}>{escaped(words)}</li>"
-        for words in terminal.verdicts(figures)
+        f"<li{' class=bad' if headline.is_bad(words) else ''}>{escaped(words)}</li>"
+        for words in headline.verdicts(figures)
     )
-    damage = terminal.damage(figures)
-    gone = "".join(f"<li>{escaped(words)}</li>" for words in damage)
+    damage, about = (
+        "".join(f"<li>{escaped(words)}</li>" for words in lines)
+        for lines in (headline.damage(figures), headline.about(figures))
+    )
     return (
-        f"<h1>{escaped(figures['run'])}</h1>\n<p>{escaped(terminal.head(figures))}</p>\n"
+        f"<h1>{escaped(figures['run'])}</h1>\n<p>{escaped(headline.head(figures))}</p>\n"
         + (f'<p class="note">{escaped("; ".join(facts))}</p>\n' if facts else "")
         + f'<ul class="verdicts">{verdicts}</ul>\n'
-        + (f'<div class="gone"><strong>Damaged or missing</strong><ul>{gone}</ul></div>' if damage else "")
+        + (f'<div class="gone"><strong>Damaged</strong><ul>{damage}</ul></div>' if damage else "")
+        + (f'<div class="about"><strong>About this record</strong><ul>{about}</ul></div>' if about else "")
     )
 
 
@@ -142,8 +162,8 @@ def _drawings(run: Run, figures: dict[str, Any]) -> list[str]:
             f"The {min(len(pairs), plots.MOST_LINES)} closest of {len(pairs)} pairs, while any is near.",
             plots.separation(pairs) if pairs else None,
         ),
-        ("Authority, modes, events and alerts", "", plots.lanes(run, ways, figures["aircraft"])),
-        ("Height", "", plots.heights(ways)),
+        ("Authority, modes, events and alerts", "", lanes.lanes(run, ways, figures["aircraft"])),
+        ("Height", "As each vehicle reports it.", plots.heights(run, ways)),
         ("Speeds", "Speeds at every decision of the law.", plots.speeds(run, ways)),
         (
             "Age of information",
@@ -203,7 +223,16 @@ def _manoeuvre(name: str, one: Manoeuvre, row: dict[str, Any], drawing: str | No
 
 
 def _section(title: str, body: str, new_page: bool = False) -> str:
-    return f"<section{' class=page' if new_page else ''}><h2>{escaped(title)}</h2>\n{body}</section>"
+    name = re.sub(r"[^a-z]+", "-", title.lower())
+    kind = " class=page" if new_page else ""
+    return f'<section{kind} id="{name}"><h2>{escaped(title)}</h2>\n{body}</section>'
+
+
+def _contents(parts: Sequence[str]) -> str:
+    """Links to all sections."""
+    found = (re.match(r'<section[^>]* id="([^"]*)"><h2>(.*?)</h2>', part) for part in parts)
+    links = "".join(f'<a href="#{one[1]}">{one[2]}</a> ' for one in found if one is not None)
+    return f'<nav aria-label="Sections">{links}</nav>'
 
 
 def _table(rows: Rows) -> str:
@@ -212,7 +241,9 @@ def _table(rows: Rows) -> str:
         f"<tr{' class=bad' if terminal.alarming(row) else ''}>{''.join(map(_cell, row))}</tr>"
         for row in rows[1:]
     )
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    # Narrower than the table, the box scrolls; with a tabindex by the keyboard, too.
+    table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    return f'<div class="wide" tabindex="0">{table}</div>'
 
 
 def _cell(text: str) -> str:

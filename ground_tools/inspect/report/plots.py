@@ -1,6 +1,7 @@
 """Plots of a run as SVG to embed in a page.
 
-They show paths, separation, heights, speeds, ages, rates, lanes, and the velocity space of a manoeuvre.
+They show paths, separation, heights, speeds, ages, rates, and the velocity space of a manoeuvre. `lanes` has
+the lanes over time.
 Text remains text in the SVG, which keeps the file small and the print sharp. Names come from logs. They are
 not parsed as mathematical text, and matplotlib escapes them.
 """
@@ -8,32 +9,32 @@ not parsed as mathematical text, and matplotlib escapes them.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.arrays import Floats
-from companion.avoidance.alerts import Level
-from companion.events import AlertChanged, BroadcastChanged, TransportsChosen
 from ground_tools.common.figure import styled
 from ground_tools.inspect.explain.manoeuvres import Manoeuvre
-from ground_tools.inspect.read.flown import Flown, Separation, crossing, least_of
-from ground_tools.inspect.read.read_run import AircraftRecord, Run
+from ground_tools.inspect.read.flown import MAX_GAP_S, Flown, Separation, crossing, fixes_of, least_of
+from ground_tools.inspect.read.heights import spikes
+from ground_tools.inspect.read.read_run import Run
 from ground_tools.inspect.report.terminal import plain
 from ground_tools.inspect.viewer.palette import LIMIT, colour, hexadecimal
-from ground_tools.inspect.viewer.watch import HELD_S
 
 MOST_LINES = 12
 """Most pairs, aircraft or tracks drawn individually in one plot. If there are more pairs, the closest are
 drawn."""
 MOST_POINTS = 1200
 """Most points of one line. More cannot be distinguished on paper."""
+_SPARSE = 3.0
+"""Where samples are rare, only a silence of this many of their usual distances is a gap."""
 _OVER = 5
 """Number of broadcasts over which a rate is computed."""
-_MAX_SILENCE_S = 3.0
-"""Ages farther apart in time are not joined by a line."""
+_LEAST_SPAN_M = 10.0
+"""Heights are drawn on an axis of at least this span, so that level flight looks level."""
 _HALF_WIDTH_M = 120.0
 _TOP_OF_REQUIRED = 6.0
 _LIMIT = hexadecimal(LIMIT)
@@ -48,25 +49,6 @@ _SVG = {
     "font.sans-serif": ["DejaVu Sans"],
     "lines.linewidth": 1.2,
 }
-_STATES = {
-    "guarding": "#9fd3a8",
-    "watching": "#cfe5f5",
-    "avoiding": "#d55e00",
-    "recovering": "#56b4e9",
-    "standby": "#dddddd",
-    "yielded": "#cc79a7",
-    "fault": "#b00020",
-}
-_LEVELS = {Level.ADVISORY: "#f0e442", Level.CAUTION: "#e69f00", Level.WARNING: "#b00020"}
-_MARKS = {
-    "on the air switched": ("|", "#0072b2", 9.0),
-    "transports chosen": ("|", "#8a8a8a", 6.0),
-    "conflict begins": ("^", "#e69f00", 5.0),
-    "manoeuvre begins": ("D", "#009e73", 3.5),
-    "fault or warning": ("x", "#b00020", 5.0),
-}
-"""Shape, colour and size of the marker for each kind of event."""
-_MODES = ("#bcd7ee", "#d8c9e8", "#cfe8c9", "#f0d9b8", "#e0e0e0")
 
 
 def svg(size_in: tuple[float, float], draw: Callable[[Any], None]) -> str:
@@ -94,6 +76,29 @@ def thin(time: Floats, *rows: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     return tuple(row[::step] for row in (time, *rows))
 
 
+def open_at_gaps(time: Floats, *rows: Floats, extreme: bool = False) -> tuple[Floats, ...]:
+    """Thin a line, and break it with a row of NaN wherever nothing is known for some time.
+
+    Args:
+        time: (n,) rising times.
+        rows: (n,) values of the line.
+        extreme: of the first of `rows` keep the greatest value of every n samples, so that no peak is lost.
+
+    Returns:
+        The times and the values of the line to draw.
+    """
+    apart = np.diff(time)
+    gap_s = max(MAX_GAP_S, _SPARSE * float(np.median(apart))) if len(apart) else MAX_GAP_S
+    step = max(len(time) // MOST_POINTS, 1)
+    kept: list[NDArray[np.intp]] = []
+    for part in np.split(np.arange(len(time)), np.flatnonzero(apart > gap_s) + 1):
+        blocks = [part[at : at + step] for at in range(0, len(part), step)]
+        chosen = [block[np.argmax(rows[0][block])] if extreme else block[0] for block in blocks]
+        kept += [np.unique([*chosen, *part[-1:]]), np.array([-1])]
+    index = np.concatenate(kept[:-1])
+    return tuple(np.where(index < 0, np.nan, row[index]) for row in (time, *rows))
+
+
 def lowest(time: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Thin a line to the smallest value of every n samples, so that no minimum is lost."""
     step = max(len(time) // MOST_POINTS, 1)
@@ -114,7 +119,7 @@ def paths(ways: Flown, pairs: list[Separation]) -> str:
     def draw(figure: Any) -> None:
         whole, *near = np.atleast_1d(figure.subplots(1, 2 if pairs else 1))
         for index, path in enumerate(ways.paths):
-            _, north, east = thin(path.time_s, path.position_ned_m[:, 0], path.position_ned_m[:, 1])
+            _, north, east = open_at_gaps(path.time_s, path.position_ned_m[:, 0], path.position_ned_m[:, 1])
             for axes in (whole, *near):
                 axes.plot(east, north, color=shade(index), label=plain(path.name))
                 axes.plot(east[0], north[0], "o", color=shade(index), mfc="white", ms=5)
@@ -123,7 +128,7 @@ def paths(ways: Flown, pairs: list[Separation]) -> str:
         whole.set_adjustable("datalim")
         for axes in near:
             _around(axes, ways, pairs)
-        _legend(figure, whole)
+        legend(figure, whole)
 
     return svg((9.4, 5.4), draw)
 
@@ -167,7 +172,7 @@ def separation(pairs: list[Separation]) -> str:
                 time, distance, color=shade(index), lw=1.0, label=plain(f"{pair.first} - {pair.second}")
             )
         time, least = lowest(*least_of(pairs))
-        axes.plot(time, least, color="#222222", lw=1.8, label="minimum of all pairs")
+        axes.plot(*open_at_gaps(time, least), color="#222222", lw=1.8, label="minimum of all pairs")
         required = max(pair.required_m for pair in pairs)
         axes.axhline(required, color=_LIMIT, lw=1.6, ls="--", label=f"limit {required:g} m")
         top = max(_TOP_OF_REQUIRED * required, 1.5 * float(np.nanmin(least)))
@@ -176,23 +181,50 @@ def separation(pairs: list[Separation]) -> str:
         if len(near):
             axes.set_xlim(near[0] - 5.0, near[-1] + 5.0)
         axes.set(ylim=(0.0, top), xlabel="time (s)", ylabel="slant distance (m)")
-        _legend(figure, axes)
+        legend(figure, axes)
 
     return svg((9.4, 3.9), draw)
 
 
-def heights(ways: Flown) -> str:
-    """Plot the heights above the frame's origin."""
+def heights(run: Run, ways: Flown) -> str | None:
+    """Plot the height of each aircraft above its home; None if no aircraft reported a position.
+
+    Samples that stand out (`heights.spikes`) are marked at the edge and do not stretch the axis.
+    """
+    shown = [
+        (index, record, height)
+        for index, record in enumerate(run.aircraft)
+        if len(height := _above_home(fixes_of(record)))
+    ]
+    if not shown:
+        return None
 
     def draw(figure: Any) -> None:
         axes = figure.subplots()
-        for index, path in enumerate(ways.paths):
-            time, down = thin(path.time_s, path.position_ned_m[:, 2])
-            axes.plot(time, -down, color=shade(index), label=plain(path.name))
-        axes.set(xlabel="time (s)", ylabel=f"height above {ways.origin[2]:.0f} m MSL (m)")
-        _legend(figure, axes)
+        outside: list[tuple[float, float]] = []
+        for index, record, height in shown:
+            time = fixes_of(record)[:, 0] + ways.offsets_s[record.name]
+            bad = spikes(time, height)
+            outside += zip(time[bad].tolist(), height[bad].tolist(), strict=True)
+            axes.plot(*open_at_gaps(time[~bad], height[~bad]), color=shade(index), label=plain(record.name))
+        low, high = axes.get_ylim()
+        middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN_M)
+        axes.set(xlabel="time (s)", ylabel="height above home (m)", ylim=(middle - half, middle + half))
+        if outside:
+            worst = max((height for _, height in outside), key=abs)
+            edge = [middle + (0.97 if height > middle else -0.97) * half for _, height in outside]
+            words = f"{len(outside)} outside, as far as {worst:.0f} m"
+            axes.plot([time for time, _ in outside], edge, "x", color=_LIMIT, ms=6, label=words)
+        legend(figure, axes)
 
     return svg((9.4, 2.9), draw)
+
+
+def _above_home(fixes: Floats) -> Floats:
+    """Height above home (n,) of fixes; above the first of them if they do not tell."""
+    if not len(fixes) or not np.isnan(fixes[:, 7]).all():
+        return fixes[:, 7]
+    return np.asarray(fixes[:, 3] - fixes[0, 3])
 
 
 def speeds(run: Run, ways: Flown) -> str | None:
@@ -205,15 +237,16 @@ def speeds(run: Run, ways: Flown) -> str | None:
         rows = figure.subplots(len(deciding), 1, sharex=True, squeeze=False)[:, 0]
         for axes, record in zip(rows, deciding, strict=True):
             found, offset = record.facts.decisions, ways.offsets_s[record.name]
-            time, speeds = thin(found.now_s + offset, found.speeds_mps)
+            time = found.now_s + offset
             for column, (words, tint, width) in enumerate(
                 (("flown", "#9a9a9a", 1.6), ("wanted", "#0072b2", 1.1), ("commanded", _LIMIT, 1.1))
             ):
-                axes.plot(time, speeds[:, column], color=tint, lw=width, label=words)
+                speed = found.speeds_mps[:, column].astype(np.float64)
+                axes.plot(*open_at_gaps(time, speed, extreme=True), color=tint, lw=width, label=words)
             axes.set_title(plain(record.name), fontsize=_WORDS)
             axes.set(ylim=(0.0, None), ylabel="m/s")
         rows[-1].set_xlabel("time (s)")
-        _legend(figure, rows[0])
+        legend(figure, rows[0])
 
     return svg((9.4, 0.9 + 1.15 * len(deciding)), draw)
 
@@ -235,12 +268,13 @@ def ages(run: Run, ways: Flown) -> str | None:
         for axes, name in zip(rows, names, strict=True):
             mine = sorted((f for f in shown if f[0] == name), key=lambda f: -float(f[2].age_s.max()))
             for index, (_, track, facts) in enumerate(mine[:MOST_LINES]):
-                time, age = thin(facts.now_s + ways.offsets_s[name], facts.age_s)
-                age = np.where(np.diff(time, prepend=time[0]) > _MAX_SILENCE_S, np.nan, age)
-                axes.plot(time, age, lw=0.8, color=shade(index), label=plain(track))
+                line = open_at_gaps(facts.now_s + ways.offsets_s[name], facts.age_s, extreme=True)
+                axes.plot(*line, lw=0.8, color=shade(index), label=plain(track))
             axes.set_title(plain(f"tracks of {name}"), fontsize=_WORDS)
-            axes.set(ylim=(0.0, None), ylabel="age (s)")
+            axes.set(ylabel="age (s)")
             axes.legend(fontsize=6.5, ncols=6, frameon=False, loc="upper left")
+        # Only now: the panels share one axis, and a limit that is set holds for what is drawn later, too.
+        rows[0].set_ylim(0.0, 1.05 * max(float(facts.age_s.max()) for _, _, facts in shown))
         rows[-1].set_xlabel("time (s)")
 
     return svg((9.4, 0.9 + 1.3 * len(names)), draw)
@@ -265,108 +299,9 @@ def rates(run: Run, ways: Flown) -> str | None:
             look = {"color": shade(index), "ls": styles.get(transport, "-")}
             axes.plot(time, rate, label=plain(f"{name} {transport}"), **look)
         axes.set(ylim=(0.0, None), xlabel="time (s)", ylabel="broadcasts per second")
-        _legend(figure, axes)
+        legend(figure, axes)
 
     return svg((9.4, 2.7), draw)
-
-
-def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
-    """Plot authority, mode, events and the highest alert over time; None if nothing is known."""
-    rows: list[tuple[str, list[tuple[float, float, str]]]] = []
-    marks: dict[int, dict[str, list[float]]] = {}
-    """Times of the markers, by row and kind."""
-    used: dict[str, str] = {}
-    modes = list(dict.fromkeys(span["mode"] for one in aircraft for span in one["flight"]["modes"]))
-    for one, record in zip(aircraft, run.aircraft, strict=True):
-        for key, what in (("authority", "state"), ("modes", "mode")):
-            spans = []
-            for span in one["flight"][key]:
-                known = key == "authority" or len(modes) <= len(_MODES)
-                tint = _STATES.get(span[what], "#eeeeee") if key == "authority" else _MODES[-1]
-                if key == "modes" and known:
-                    tint = _MODES[modes.index(span[what])]
-                used[f"{'mode ' if key == 'modes' else ''}{span[what]}"] = tint
-                spans.append((span["from_s"], span["to_s"] - span["from_s"], tint))
-            if spans:
-                rows.append((f"{one['name']} {'who flew' if key == 'authority' else 'mode'}", spans))
-        alarms = _alarms(record.facts.rare, ways.offsets_s[record.name], one["flight"]["end_s"])
-        told = _happened(record, one, ways.offsets_s[record.name])
-        if told:
-            marks[len(rows)] = told
-            rows.append((f"{one['name']} events", []))
-        if alarms:
-            rows.append((f"{one['name']} alert", [(a, b - a, _LEVELS[level]) for a, b, level in alarms]))
-            used |= {f"alert {level.name.lower()}": _LEVELS[level] for _, _, level in alarms}
-    if not rows:
-        return None
-
-    def draw(figure: Any) -> None:
-        _lanes(figure, rows, marks, used)
-
-    return svg((9.4, 1.1 + 0.24 * len(rows)), draw)
-
-
-def _lanes(
-    figure: Any,
-    rows: list[tuple[str, list[tuple[float, float, str]]]],
-    marks: dict[int, dict[str, list[float]]],
-    used: dict[str, str],
-) -> None:
-    """Draw the rows of `lanes`.
-
-    Args:
-        rows: name of each row, and its spans: start, length (s) and colour.
-        marks: times of the markers (s), by row and kind.
-        used: colour of each word in the legend.
-    """
-    axes = figure.subplots()
-    for index, (_, spans) in enumerate(rows):
-        axes.broken_barh(
-            [(a, max(b, 0.05)) for a, b, _ in spans],
-            (index - 0.4, 0.8),
-            facecolors=[c for _, _, c in spans],
-        )
-    for kind, (shape, tint, size) in _MARKS.items():
-        points = [(time, row) for row, told in marks.items() for time in told.get(kind, ())]
-        if points:
-            axes.plot(*zip(*points, strict=True), shape, color=tint, ms=size, label=kind)
-    axes.set_yticks(range(len(rows)), [plain(name) for name, _ in rows], fontsize=7.0)
-    axes.set(xlabel="time (s)", ylim=(len(rows) - 0.4, -0.6))
-    for name, tint in used.items():
-        axes.plot([], [], "s", color=tint, ms=7, label=plain(name))
-    _legend(figure, axes)
-
-
-def _happened(record: AircraftRecord, figures: dict[str, Any], offset_s: float) -> dict[str, list[float]]:
-    """Return the times of momentary events, by kind (of `_MARKS`)."""
-    conflict = record.facts.decisions.now_s[record.facts.decisions.conflict] + offset_s
-    rare = [(now_s + offset_s, what) for now_s, what in record.facts.rare]
-    found = {
-        "conflict begins": conflict[np.diff(conflict, prepend=-np.inf) > HELD_S].tolist(),
-        "manoeuvre begins": [one["start_s"] for one in figures["manoeuvres"]],
-        "on the air switched": [time for time, what in rare if isinstance(what, BroadcastChanged)],
-        "transports chosen": [time for time, what in rare if isinstance(what, TransportsChosen)],
-        "fault or warning": [one["time_s"] for one in figures["faults"]],
-    }
-    return {kind: times for kind, times in found.items() if times}
-
-
-def _alarms(
-    rare: Iterable[tuple[float, object]], offset_s: float, end_s: float
-) -> list[tuple[float, float, Level]]:
-    """Return the spans (start, end, level) of the highest alert level of any track, without level 0."""
-    levels: dict[str, int] = {}
-    found: list[tuple[float, float, Level]] = []
-    since, highest = 0.0, 0
-    for now_s, what in rare:
-        if not isinstance(what, AlertChanged):
-            continue
-        levels[what.track_id] = min(max(what.level, 0), max(Level))
-        if (now := max(levels.values())) != highest:
-            if highest:
-                found.append((since, now_s + offset_s, Level(highest)))
-            since, highest = now_s + offset_s, now
-    return [*found, (since, end_s, Level(highest))] if highest else found
 
 
 def velocities(one: Manoeuvre, speed_mps: float) -> str | None:
@@ -428,7 +363,7 @@ def _half_spaces(axes: Any, one: Manoeuvre, down_mps: float, reach: float) -> No
             axes.plot([], [], color=tint, label=plain(name))
 
 
-def _legend(figure: Any, axes: Any) -> None:
+def legend(figure: Any, axes: Any) -> None:
     """Draw the legend below the plots, where it hides nothing."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=7.5, frameon=False)

@@ -12,13 +12,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from companion.authority.table import State
 from companion.avoidance.alerts import Level
 from companion.errors import ConfigError
 from companion.events import AlertChanged, AuthorityChanged
 from companion.runtime.record.disk import RUN
-from ground_tools.inspect.explain import air, manoeuvres
+from ground_tools.inspect.explain import air, manoeuvres, traffic
 from ground_tools.inspect.explain.manoeuvres import Manoeuvre
 from ground_tools.inspect.read import flight
+from ground_tools.inspect.read.faults import faults
 from ground_tools.inspect.read.flown import Separation, closest, flown
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
 from ground_tools.inspect.read.timeline import time_line
@@ -27,6 +29,8 @@ from ground_tools.inspect.report.terminal import text as text
 NEAR = 3.0
 """A pair is listed as a conflict if it was in conflict, or came within this many times its limit."""
 _SAME_TIME_S, _FAR_OFF_M = 1.5, 5.0
+_CONFLICT_S = 10.0
+"""A conflict that the law saw longer than this before or after the closest approach is another matter."""
 _HEARD = "Remote ID, as heard"
 _BEFORE_S = 60.0
 """A manoeuvre that ended longer than this before the closest approach is not related to it."""
@@ -49,13 +53,16 @@ def describe(run: Run) -> dict[str, Any]:
     air_rows, air_problems = _air(run.summary)
     done = {record.name: manoeuvres.find(record) for record in run.aircraft}
     offsets = line.offsets_s
+    of_the_run = {_identity(record) for record in run.aircraft}
     return {
         "run": run.name,
         "clock": line.words,
         "utc_at_zero_s": line.utc_at_zero_s,
         "positions": ways.positions if ways else None,
         "conflicts": _conflicts(run, pairs, done, offsets),
-        "aircraft": [_aircraft(record, done[record.name], offsets[record.name]) for record in run.aircraft],
+        "aircraft": [
+            _aircraft(record, done[record.name], offsets[record.name], of_the_run) for record in run.aircraft
+        ],
         "separations": [
             {
                 "pair": [pair.first, pair.second],
@@ -100,8 +107,11 @@ def _air(summary: dict[str, Any] | None) -> tuple[list[dict[str, Any]], list[str
         return [], ["summary.json: air: the format is not that of a run"]
 
 
-def _aircraft(record: AircraftRecord, done: tuple[Manoeuvre, ...], offset_s: float) -> dict[str, Any]:
+def _aircraft(
+    record: AircraftRecord, done: tuple[Manoeuvre, ...], offset_s: float, of_the_run: set[str]
+) -> dict[str, Any]:
     facts = record.facts
+    bad, ordinary = faults(record, offset_s)
     authority = [what.state for _, what in facts.rare if isinstance(what, AuthorityChanged)]
     levels = [what.level for _, what in facts.rare if isinstance(what, AlertChanged)]
     return {
@@ -125,7 +135,9 @@ def _aircraft(record: AircraftRecord, done: tuple[Manoeuvre, ...], offset_s: flo
         "alerts": flight.alerts(record, offset_s),
         "remote_id": _moved_sent(air.gather(record), offset_s),
         "link": _link(record),
-        "faults": flight.faults(record, offset_s),
+        "faults": bad,
+        "ordinary": ordinary,
+        "traffic": traffic.heard(record, of_the_run, offset_s),
         "missing": flight.missing(record),
     }
 
@@ -264,17 +276,23 @@ def _closest_of(record: AircraftRecord, track: str) -> tuple[float, float, str] 
             first = np.searchsorted(decided_s, heard.near[:, 0] - _SAME_TIME_S)
             last = np.searchsorted(decided_s, heard.near[:, 0] + _SAME_TIME_S)
             alone = heard.near[first == last]
-            found.extend((float(distance), float(now_s), _HEARD) for now_s, distance in alone)
+            found.extend((float(distance), float(now_s), _HEARD) for now_s, distance, _, _ in alone)
     return min(found, default=None)
 
 
 def _who_flew(record: AircraftRecord, at_s: float) -> str:
-    """Return the authority state at a time, and the reason for it."""
+    """Return the authority state at a time, and the reason for it, as text."""
+    last = _state_at(record, at_s)
+    return "" if last is None else f"; its state was {last.state}: {last.reason}"
+
+
+def _state_at(record: AircraftRecord, at_s: float) -> AuthorityChanged | None:
+    """Return the change of authority that led to the state at a time; None if there was none before it."""
     last = None
     for now_s, what in record.facts.rare:
         if isinstance(what, AuthorityChanged) and now_s <= at_s:
             last = what
-    return "" if last is None else f"; its state was {last.state}: {last.reason}"
+    return last
 
 
 def _identity(record: AircraftRecord) -> str:
@@ -302,6 +320,12 @@ def _what_was_done(record: AircraftRecord, track: str, done: tuple[Manoeuvre, ..
             for one in near
         )
         return f"{record.name} {ways}"
+    others = [one for one in done if one.start_s - manoeuvres.GAP_S <= at_s <= one.end_s + manoeuvres.GAP_S]
+    if others:
+        because = ", ".join(dict.fromkeys(name for one in others for name in one.tracks or one.limits))
+        return f"{record.name} was avoiding {because or 'something else'} at that time"
+    if (state := _state_at(record, at_s)) is not None and state.state == State.AVOIDING.value:
+        return f"{record.name} was avoiding at that time ({state.reason}), along its wanted velocity"
     return f"{record.name} {_why_nothing(record, track, at_s)}"
 
 
@@ -333,8 +357,9 @@ def _why_nothing(record: AircraftRecord, track: str, at_s: float) -> str:
             if decided
             else "did nothing: its law made no decision at that time"
         )
+    then = facts.conflict[abs(facts.now_s - at_s) <= _CONFLICT_S]
     return (
-        "did nothing although its law saw a conflict"
-        if facts.conflict.any()
-        else "did nothing: its law saw no conflict"
+        "did nothing although its law saw a conflict at that time"
+        if then.any()
+        else "did nothing: its law saw no conflict with it at that time"
     )

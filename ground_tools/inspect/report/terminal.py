@@ -16,7 +16,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from ground_tools.inspect.read.timeline import utc_words
+from ground_tools.inspect.report import headline
 
 PIPED_WIDTH = 120
 """Characters per line if the output is not a terminal."""
@@ -24,6 +24,11 @@ _NAME = 24
 """The first column is wide enough for names of up to this many characters."""
 _MOST_ROWS = 40
 """Most rows printed of one table. The number of omitted rows is printed, and --json has them all."""
+_THINNED_PERCENT, _THINNED = 20.0, "thinned log?"
+"""What is said of a component that was never silent, but of which so many messages are absent: whoever wrote
+the log left them out."""
+_LONGEST_WORD = 40
+"""A column is at least as wide as its longest word of up to this many characters."""
 _SHARES = ("median_s", "p95_s", "worst_s")
 
 
@@ -52,12 +57,13 @@ def console() -> Console:
 
 def show(figures: dict[str, Any], console: Console) -> None:
     """Print the figures of `summary.describe`."""
-    line(console, head(figures), "bold")
-    for words in verdicts(figures):
-        bad = any(mark in words for mark in ("LOST", "NOT"))
-        line(console, f"  {words}", "bold red" if bad else "")
-    for words in damage(figures):
+    line(console, headline.head(figures), "bold")
+    for words in headline.verdicts(figures):
+        line(console, f"  {words}", "bold red" if headline.is_bad(words) else "")
+    for words in headline.damage(figures):
         line(console, f"  {words}", "yellow")
+    for words in headline.about(figures):
+        line(console, f"  {words}", "dim")
     console.print()
     for title, rows in sections(figures):
         show_table(console, title, rows)
@@ -66,70 +72,6 @@ def show(figures: dict[str, Any], console: Console) -> None:
             line(console, f"{one['name']}, {row['start_s']:.1f} to {row['end_s']:.1f} s", "bold")
             for words in sentences(row):
                 console.print(Padding(Text(plain(words)), (0, 0, 0, 2), expand=False))
-
-
-def head(figures: dict[str, Any]) -> str:
-    """Return a line with the run's name, its time line, and the source of its distances."""
-    zero = figures["utc_at_zero_s"]
-    return (
-        f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}; "
-        f"{f'at 0 s: {utc_words(zero)}; ' if zero is not None else ''}"
-        f"distances from {figures['positions'] or 'no positions'}"
-    )
-
-
-def verdicts(figures: dict[str, Any]) -> list[str]:
-    """Return the most important results, one line each: separation, Remote ID, manoeuvres, faults."""
-    known = [row for row in figures["separations"] if row["minimum_m"] is not None]
-    lost = [row for row in known if not row["kept"]]
-    found = []
-    if known:
-        least = known[0]
-        how = f"kept by {len(known)} of {len(known)} pairs"
-        if lost:
-            how = f"LOST by {len(lost)} of {len(known)} pairs"
-        found.append(
-            f"Separation {how}; {' - '.join(least['pair'])}: closest {least['minimum_m']:.2f} m at "
-            f"{least['minimum_time_s']:.2f} s ({least['required_m']:g} m {kept(least['kept'])})"
-        )
-    elif len(figures["aircraft"]) > 1:
-        found.append("Separation: not known, because no two aircraft have positions at the same time")
-    else:
-        found.append("Separation: not known, because the run has one aircraft")
-    found += _verdicts_on_remote_id(figures["aircraft"])
-    for words, key in (("Manoeuvres", "manoeuvres"), ("Faults and warnings", "faults")):
-        found.append(f"{words}: {sum(len(one[key]) for one in figures['aircraft'])}")
-    return found
-
-
-def _verdicts_on_remote_id(aircraft: Sequence[dict[str, Any]]) -> list[str]:
-    found = []
-    regions: dict[str, list[dict[str, Any]]] = {}
-    for one in aircraft:
-        if one["remote_id"]["region"] is not None:
-            regions.setdefault(one["remote_id"]["region"], []).append(one)
-    for region, members in regions.items():
-        rows = [row for one in members for row in one["remote_id"]["sent"] if row["kept"] is not None]
-        broken = [
-            one["name"]
-            for one in members
-            if one["remote_id"]["not_legal_s"] > 0.0
-            or any(row["kept"] is False for row in one["remote_id"]["sent"])
-        ]
-        if broken:
-            found.append(f"Remote ID: minimum rates of region {region} NOT kept by {', '.join(broken)}")
-        elif rows:
-            found.append(f"Remote ID: minimum rates of region {region} kept by all {len(members)} aircraft")
-        else:
-            found.append(f"Remote ID: region {region} requires no minimum rate for the sent messages")
-    return found
-
-
-def damage(figures: dict[str, Any]) -> list[str]:
-    """Return problems, notes and missing data, one line each."""
-    gone = [f"missing: {one['name']}: {words}" for one in figures["aircraft"] for words in one["missing"]]
-    problems = [f"problem: {words}" for words in figures["problems"]]
-    return [*problems, *(f"note: {words}" for words in figures.get("notes", ())), *gone]
 
 
 def sentences(row: dict[str, Any]) -> list[str]:
@@ -147,8 +89,9 @@ def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
     aircraft = figures["aircraft"]
     found = [
         ("Conflicts", _conflicts(figures["conflicts"])),
+        ("Other aircraft that were heard", _traffic(aircraft)),
         ("Other pairs" if figures["conflicts"] else "Pairs", _separations(figures)),
-        ("Faults and warnings", _faults(aircraft)),
+        ("Faults and warnings", _events(aircraft, "faults")),
         ("Flights", _flights(aircraft)),
         ("Decisions and alerts", _decisions(aircraft)),
         ("Modes", _spans(aircraft, "modes", "mode")),
@@ -157,8 +100,9 @@ def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
         ("Remote ID sent", _sent(aircraft)),
         ("Remote ID heard", _heard(aircraft)),
         ("Age of information at the decisions of the law", _ages(aircraft)),
+        ("Pilots and start-ups", _events(aircraft, "ordinary")),
         ("Simulated radio channel, from the run's summary", _air(figures["air"])),
-        ("Telemetry link (missing: gaps in the sequence numbers, lost or not logged)", _link(aircraft)),
+        ("Telemetry link (absent: gaps in the sequence numbers, lost or not logged)", _link(aircraft)),
     ]
     return [(title, rows) for title, rows in found if len(rows) > 1]
 
@@ -250,7 +194,7 @@ def _spans(aircraft: Sequence[dict[str, Any]], key: str, state: str, reason: str
 
 
 def _link(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    head = ["component", "frames", "missing", "missing (%)", "silences", "longest (s)"]
+    head = ["component", "frames", "absent", "absent (%)", "silences", "longest (s)", ""]
     return _each(
         head,
         aircraft,
@@ -262,8 +206,32 @@ def _link(aircraft: Sequence[dict[str, Any]]) -> Rows:
             number(row["missing_percent"], 2),
             str(row["silences"]),
             number(row["longest_silence_s"]),
+            _THINNED if row["missing_percent"] > _THINNED_PERCENT and not row["silences"] else "",
         ],
     )
+
+
+def _traffic(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    """Rows of the aircraft that were heard and are not of the run, the nearest first."""
+    head = ["other", "by", "from (s)", "to (s)", "reports"]
+    head += ["nearest (m)", "at (s)", "beside (m)", "above (m)"]
+
+    def cells(row: dict[str, Any]) -> list[str]:
+        near = row["nearest"] or {}
+        above = number(near.get("above_m"), 0) + (" baro" if near.get("barometric") else "")
+        return [
+            f"{row['identity']} {row['callsign']}".strip(),
+            row["by"],
+            number(row["first_s"]),
+            number(row["last_s"]),
+            str(row["messages"]),
+            number(near.get("slant_m"), 0),
+            number(near.get("time_s")),
+            number(near.get("aside_m"), 0),
+            above,
+        ]
+
+    return _each(head, aircraft, lambda one: [r for r in one["traffic"] if not r["of_the_run"]], cells)
 
 
 def _manoeuvres(aircraft: Sequence[dict[str, Any]]) -> Rows:
@@ -357,13 +325,20 @@ def _ages(aircraft: Sequence[dict[str, Any]]) -> Rows:
     )
 
 
-def _faults(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    return _each(
-        ["at (s)", "what", "text"],
-        aircraft,
-        lambda one: one["faults"],
-        lambda row: [number(row["time_s"]), row["what"], row["text"]],
-    )
+def _events(aircraft: Sequence[dict[str, Any]], key: str) -> Rows:
+    """Rows of what happened. What happened several times is one row."""
+
+    def told(one: dict[str, Any]) -> list[dict[str, Any]]:
+        groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
+        for row in one[key]:
+            groups.setdefault((row["what"], row["text"]), []).append(row)
+        return [{**rows[0], "count": len(rows), "last_s": rows[-1]["time_s"]} for rows in groups.values()]
+
+    def cells(row: dict[str, Any]) -> list[str]:
+        end_s = row["until_s"] if row["count"] == 1 else row["last_s"]
+        return [number(row["time_s"]), number(end_s), str(row["count"]), row["what"], row["text"]]
+
+    return _each(["at (s)", "until (s)", "times", "what", "text"], aircraft, told, cells)
 
 
 def _air(rows: Sequence[dict[str, Any]]) -> Rows:
@@ -379,16 +354,24 @@ def line(console: Console, words: str, style: str = "") -> None:
     console.print(Text(plain(words), style=style), soft_wrap=True)
 
 
+def _longest_word(cell: str) -> int:
+    return min(max(map(len, plain(cell).split()), default=0), _LONGEST_WORD)
+
+
 def show_table(console: Console, title: str, rows: Rows) -> None:
     """Print a table, limited to `_MOST_ROWS` rows."""
+    shown = rows[: _MOST_ROWS + 1]
     table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", pad_edge=False)
-    for column, words in enumerate(rows[0]):
-        least = max(map(len, words.split()), default=0)
-        if column == 0:
-            least = min(max(len(plain(row[0])) for row in rows), _NAME)
+    widths = [max(_longest_word(row[column]) for row in shown) for column in range(len(rows[0]))]
+    widths[0] = max(widths[0], min(max(len(plain(row[0])) for row in shown), _NAME))
+    for words, least in zip(rows[0], widths, strict=True):
         table.add_column(words, overflow="fold", min_width=least)
     for row in rows[1 : _MOST_ROWS + 1]:
         table.add_row(*(Text(plain(cell)) for cell in row), style="bold red" if alarming(row) else "")
+    # A file or a pipe has no edge: rather a longer line than a word in two parts.
+    needed = sum(widths) + 3 * len(widths)
+    if not console.is_terminal and needed > console.width:
+        console = Console(file=console.file, width=needed, highlight=False, color_system=None)
     console.print(table)
     if len(rows) > _MOST_ROWS + 1:
         line(console, f"  {len(rows) - 1 - _MOST_ROWS} more rows are left out; --json prints all")

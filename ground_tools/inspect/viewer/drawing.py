@@ -12,6 +12,7 @@ import numpy as np
 
 from companion.arrays import Floats, Integers
 from companion.errors import ConfigError
+from companion.shipped import how_to_install
 from ground_tools.inspect.viewer.palette import Rgb
 from ground_tools.inspect.viewer.scene import Scene
 from ground_tools.inspect.viewer.shapes import ARROW_S, enu
@@ -43,7 +44,7 @@ def rerun() -> Any:
         import pyarrow
         import rerun as module
     except ImportError as error:
-        raise ConfigError("rerun is not installed; in the checkout: pip install -e '.[inspect]'") from error
+        raise ConfigError(how_to_install("rerun", "inspect")) from error
     # Arrow's own allocator would keep the memory that is freed between pieces.
     pyarrow.set_memory_pool(pyarrow.system_memory_pool())
     return module

@@ -35,6 +35,7 @@ from typing import Any
 from urllib.parse import quote
 
 from companion.errors import ConfigError
+from companion.shipped import how_to_install
 from sitl_mocks.signals import end_signals
 
 _START_S = 20.0
@@ -220,9 +221,7 @@ def _program() -> Path:
     """Return the viewer's executable. `python -m rerun` starts it as a child that outlives its parent."""
     found = importlib.util.find_spec("rerun_cli")
     if found is None or found.origin is None:
-        raise ConfigError(
-            "rerun is not installed; to install it, run in the checkout: pip install -e '.[inspect]'"
-        )
+        raise ConfigError(how_to_install("rerun", "inspect"))
     return Path(found.origin).with_name("rerun")
 
 

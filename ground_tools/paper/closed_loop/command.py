@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +19,7 @@ from rich.console import Console
 from companion.config import AtmcConfig
 from companion.errors import ConfigError
 from companion.runtime.warm import warm_up
+from companion.shipped import given, shipped
 from ground_tools.channel import options
 from ground_tools.common.figure import drawn
 from ground_tools.common.kept_lines import Kept
@@ -45,7 +47,9 @@ Cells = dict[tuple[str, str], Kept[Row]]
 """Stored results, by condition and method."""
 
 NAME: Final = "closed-loop"
-_CONFIG: Final = Path(__file__).parents[3] / "config"
+_CHANNEL: Final = "config/channel/standard.toml"
+_POLICY: Final = "config/policies/atmc.safetensors"
+_REGION: Final = "config/regions/us.toml"
 ENCOUNTERS: Final = 200
 CROWD: Final = 12
 _MAX_ENCOUNTERS: Final = 100_000
@@ -68,17 +72,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                        help=f"methods out of {', '.join(METHODS)} (default: all)")  # fmt: skip
     group.add_argument(
         "--policy",
-        type=Path,
-        default=_CONFIG / "policies" / "atmc.safetensors",
+        type=given,
+        default=shipped(_POLICY),
         metavar="FILE",
-        help=f"policy of the method {ATMC} (default: config/policies/atmc.safetensors)",
+        help=f"policy of the method {ATMC} (default: {_POLICY})",
     )
     group.add_argument(
         "--region",
-        type=Path,
-        default=_CONFIG / "regions" / "us.toml",
+        type=given,
+        default=shipped(_REGION),
         metavar="FILE",
-        help="region that defines the legal sets (default: config/regions/us.toml)",
+        help=f"region that defines the legal sets (default: {_REGION})",
     )
     group.add_argument(
         "--crowd",
@@ -97,7 +101,10 @@ def run(args: argparse.Namespace) -> int:
     """
     _check(args)
     folder = args.out / NAME
+    kept = given(str(args.out))
     options.make_folder(folder)
+    if kept != args.out:  # the kept flights of an installed copy, or of a checkout elsewhere
+        shutil.copytree(kept / NAME, folder, dirs_exist_ok=True)
     cells, missing = plan(args, folder)
     words = Console(stderr=args.json)
     path = args.out / f"{NAME}.png"
@@ -156,7 +163,7 @@ def flights_of(args: argparse.Namespace, condition: str, method: str) -> list[Fl
         ConfigError: a file cannot be read, or is wrong.
     """
     region = scenario_file.load_region(args.region)
-    channel = parameters.load(_CONFIG / "channel" / "standard.toml")
+    channel = parameters.load(shipped(_CHANNEL))
     policy = None
     if method == ATMC:
         wanted = scenario_file.Scenario(atmc=AtmcConfig(policy=str(args.policy)), region=region)

@@ -68,7 +68,7 @@ def report(decisions: int, seed: int, folder: Path = POLICIES) -> Report:
         seed: seed of the flights in which switches are counted.
 
     Raises:
-        ConfigError: a file is not a policy.
+        ConfigError: the folder holds no policy, or a file is not a policy.
     """
     found = timed(decisions, seed, folder)
     return Report(
@@ -121,7 +121,8 @@ def draw(decisions: int, seed: int, path: Path, folder: Path = POLICIES) -> None
     """Draw two bars for each policy and number of neighbours.
 
     Raises:
-        ConfigError: `path` cannot be written, matplotlib is missing, or a file is not a policy.
+        ConfigError: `path` cannot be written, matplotlib is missing, the folder holds no
+            policy, or a file is not a policy.
     """
     with drawn(path, (11, 6)) as figure:
         timings = timed(decisions, seed, folder).timings
@@ -146,10 +147,13 @@ def timed(decisions: int, seed: int, folder: Path = POLICIES) -> Found:
     """Time every policy of a folder. The result is cached, so that picture and table show the same times.
 
     Raises:
-        ConfigError: a file is not a policy.
+        ConfigError: the folder holds no policy, or a file is not a policy.
     """
     timings, notes = [], []
-    for path in sorted(folder.glob("*.safetensors")):
+    paths = sorted(folder.glob("*.safetensors"))
+    if not paths:
+        raise ConfigError(f"{folder}: there is no policy file (*.safetensors) in it, so nothing can be timed")
+    for path in paths:
         data = _bytes(path)
         policy = load(data, str(path))
         for neighbours in NEIGHBOURS[policy.metadata.kind]:
@@ -161,8 +165,6 @@ def timed(decisions: int, seed: int, folder: Path = POLICIES) -> Found:
             timings.append(Timing(path.stem, neighbours, median, p99, busy))
         if policy.metadata.kind == "set":
             notes.append(f"{path.stem}: {_switches(data, path, policy, seed)}")
-    if not timings:
-        notes.append(f"there is no policy in {folder}")
     return Found(tuple(timings), tuple(notes))
 
 

@@ -123,7 +123,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         default=(HOME.lat_deg, HOME.lon_deg, HOME.alt_m),
         metavar=("LAT", "LON", "ALT"),
-        help="home position: latitude and longitude (deg), altitude above mean sea level (m)",
+        help="home position: latitude and longitude (deg), altitude above mean sea level (m); default: "
+        f"{HOME.lat_deg:g} {HOME.lon_deg:g} {HOME.alt_m:g}",
     )
     add(
         "--airborne",

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from companion.broadcast.legal_floor import keep_floor
 from companion.commands.check import _judge_parameters, check
 from companion.commands.check_containment import judge_containment, judge_mission
 from companion.commands.preflight import Preflight
@@ -33,8 +34,9 @@ from companion.radio.wifi.hostapd import ApStatus
 from companion.radio.wifi.section import WifiRadio
 from companion.radio.wifi.wifi_radio import WifiTransport
 from companion.remote_id.region import Region
-from companion.runtime import radios
+from companion.runtime import prepare, radios
 from companion.runtime.flight import Flight
+from companion.toml_reader import decode_toml
 from sitl_mocks.remote_id_module.module import ModuleOptions, RemoteIdModule
 from tests.companion.commands.conftest import Vehicle
 
@@ -184,9 +186,20 @@ def test_what_the_check_says_would_be_set_is_what_run_sets(
 
 
 def test_the_rate_that_the_law_asks_for_on_a_channel_is_the_one_that_is_told(both: Both) -> None:
-    line = "remote ID: wifi at least 5/s (region eu asks for wifi on channel 11 every 0.2 s, not 2/s)"
+    line = "remote ID: wifi 6.25/s (region eu asks for wifi on channel 11 every 0.2 s, not 2/s)"
     for said in both(AccessPoint, region="eu", transports=("wifi",), rate=2):
         assert line in said
+
+
+@pytest.mark.parametrize(
+    ("rate", "words"),
+    [(1, "wifi 1.25/s (region us asks for wifi every 1 s, sent with a margin)"), (2, "wifi 2/s")],
+)
+def test_the_rate_that_is_told_is_the_one_with_the_margin_to_the_law(rate: int, words: str) -> None:
+    """The schedule sends a Location every 0.8 s where the law asks for one every second."""
+    region = decode_toml(REGIONS / "us.toml", Region)
+    decided = keep_floor({"wifi": rate}, region, frozenset({"wifi"}))
+    assert prepare._on_air(decided, region, None) == words
 
 
 def test_a_module_that_is_told_to_be_another_vehicles_is_warned_of(both: Both) -> None:

@@ -10,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from companion.commands import cli as companion_cli
 from companion.commands.entry_point import start
+from ground_tools import cli as ground_cli
+from sitl_mocks import cli as mocks_cli
 
 PROGRAM = """
 import faulthandler, json, os, sys
@@ -53,6 +56,24 @@ def test_streams_that_are_closed_are_done_without(tmp_path, closed):
 def test_a_full_disk_is_said_in_one_line(tmp_path, unbuffered):
     _, complaint, _ = run(tmp_path, ">/dev/full", unbuffered=unbuffered)
     assert complaint == "program: output cannot be written: No space left on device\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("ground-tools fly udpin://0.0.0.0:1 --mission a b", "ground-tools fly [-h] [--mission FILE"),
+        ("companion remote-id listen --radio ether=1 more", "companion remote-id listen [-h]"),
+        ("sitl-mocks demo --nothing", "sitl-mocks demo [-h]"),
+    ],
+)
+def test_what_a_subcommand_does_not_know_is_refused_under_its_own_usage(capsys, command, words):
+    name, *arguments = command.split()
+    modules = {"companion": companion_cli, "ground-tools": ground_cli, "sitl-mocks": mocks_cli}
+    with pytest.raises(SystemExit, match="2"):
+        modules[name].main(arguments)
+    error = capsys.readouterr().err
+    assert f"usage: {words}" in error
+    assert "unrecognized arguments: " in error
 
 
 def test_ctrl_c_while_modules_are_imported_ends_quietly(tmp_path, monkeypatch):

@@ -228,7 +228,7 @@ def notes(region: Region = EU, operator_id: str | None = WHOLE, **identity: Any)
 
 def test_a_sound_identity_needs_no_words() -> None:
     assert notes() == []
-    assert notes(Region(), None, uas_id="A1") == []
+    assert notes(Region(), None) == []
 
 
 def test_what_cannot_be_verified_is_said() -> None:
@@ -236,6 +236,9 @@ def test_what_cannot_be_verified_is_said() -> None:
     assert note.startswith("remote_id.operator_id: 'FIN87astrdge12k8' cannot be verified")
     (note,) = notes(operator_id=None)
     assert note.startswith("remote_id.operator_id: not set")
+    (note,) = notes(Region(), None, uas_id="DRONE1")
+    assert note.startswith("identity.uas_id: 'DRONE1': character 3 is 'O'")
+    assert note.endswith("without a region it is sent as it is")
     (note,) = notes(uas_id="\x07abc", id_type=IdType.SPECIFIC_SESSION)
     assert note.startswith("identity.uas_id: session id of type 7")
 

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 
 from companion.errors import ConfigError
+from companion.shipped import shipped
 from ground_tools import cli
 from ground_tools.results import command, kept, provenance
 from ground_tools.results.kept import Entry
@@ -16,7 +17,7 @@ NAME = "results/some.json"
 @pytest.fixture
 def some(tmp_path, monkeypatch):
     """One kept file in a folder of its own, whose sample differs as `differs` says."""
-    monkeypatch.setattr(kept, "ROOT", tmp_path)
+    monkeypatch.setattr(kept, "shipped", lambda name: tmp_path / name)
     (tmp_path / "results").mkdir()
     (tmp_path / NAME).write_text("1")
     differs = []
@@ -75,12 +76,12 @@ def test_a_record_after_a_sample_says_so(some):
 
 
 def test_changed_data_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(provenance.sources, "ROOT", tmp_path)
+    monkeypatch.setattr(provenance, "shipped", lambda name: tmp_path / name)
     data = tmp_path / "data.toml"
     data.write_text("a = 1")
-    before = provenance.now("make it", (), (data,), ())
+    before = provenance.now("make it", (), ("data.toml",), ())
     data.write_text("a = 2")
-    assert provenance.changes(before, provenance.now("make it", (), (data,), ())) == ["data.toml"]
+    assert provenance.changes(before, provenance.now("make it", (), ("data.toml",), ())) == ["data.toml"]
 
 
 def test_a_path_that_is_no_kept_file_is_refused(some, tmp_path):
@@ -100,6 +101,6 @@ def test_every_listed_file_is_there_and_every_kept_file_is_listed():
     assert [e.name for e in entries if not e.path.is_file()] == []
     listed = {e.path for e in entries}
     text = {".md"}
-    root = kept.ROOT / "results"
+    root = shipped("results")
     there = {p for p in root.rglob("*") if p.is_file() and p.suffix not in text and ".made." not in p.name}
     assert there <= listed

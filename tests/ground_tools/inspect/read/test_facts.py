@@ -35,7 +35,7 @@ from ground_tools.inspect.read.read_run import read_run
 def test_columns_of_a_record(made: SimpleNamespace) -> None:
     facts = gather(made.steps(made.northbound, made.eastbound(20.0)))
     assert (facts.steps, facts.start_s, facts.end_s, facts.duration_s) == (601, 0.0, 60.0, 60.0)
-    assert facts.fixes.shape == (601, 7)
+    assert facts.fixes.shape == (601, 8)
     assert facts.utc_offset_s == pytest.approx(made.utc_s)
     assert {name: len(times) for name, times in facts.sent.items()} == {"wifi": 61}
     assert {a: (len(h.now_s), h.transports) for a, h in facts.heard.items()} == {
@@ -108,7 +108,7 @@ def test_decisions_tell_where_it_was_only_without_fixes(made: SimpleNamespace) -
         for step in steps
     ]
     whole, decided = gather([*blind[:9], *steps[9:]]), gather(blind)
-    assert (len(whole.decided), decided.fixes.shape, decided.decided.shape) == (0, (0, 7), (301, 7))
+    assert (len(whole.decided), decided.fixes.shape, decided.decided.shape) == (0, (0, 8), (301, 8))
     fixes = gather(steps).fixes
     same = np.isin(fixes[:, 0], decided.decided[:, 0])
     assert decided.decided[:, 1:4] == pytest.approx(fixes[same][:, 1:4], abs=1e-3)
@@ -158,7 +158,7 @@ def test_how_near_a_sender_was_counts_from_where_it_is_by_now() -> None:
 
 def test_no_steps() -> None:
     facts = gather([])
-    assert (facts.steps, facts.duration_s, facts.fixes.shape, facts.rare) == (0, 0.0, (0, 7), ())
+    assert (facts.steps, facts.duration_s, facts.fixes.shape, facts.rare) == (0, 0.0, (0, 8), ())
 
 
 def test_steps_are_read_anew_and_end_where_the_facts_do(run_folder: Path) -> None:

@@ -74,7 +74,7 @@ def test_fixes_of_a_long_flight_are_those_of_one_kept_in_memory(monkeypatch: pyt
     long = gather(_fixes(1000)).fixes
     assert not isinstance(kept.base.base, np.memmap)
     assert isinstance(long.base.base, np.memmap)
-    assert kept.shape == (1000, 7)
+    assert kept.shape == (1000, 8)
     assert (long == kept).all()
 
 

@@ -26,7 +26,7 @@ from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.remote_id.region import Region
 from ground_tools.inspect.read.read_run import read_run
-from ground_tools.inspect.report import terminal
+from ground_tools.inspect.report import headline, terminal
 from ground_tools.inspect.report.summary import describe
 from tests.ground_tools.inspect.flights import decision, guarded, step, track, write
 
@@ -97,7 +97,10 @@ def test_an_aircraft_that_was_only_heard_is_a_conflict_by_prediction(tmp_path: P
     assert (row["pair"], row["kept"], row["time_s"]) == (["ONE", "INTRUDER"], None, 4.0)
     assert row["by"] == "Remote ID, as predicted aboard"
     assert "turned right by 37 deg" in row["done"][0]
-    assert "Separation: not known, because the run has one aircraft" in told(tmp_path)
+    assert (
+        "Nearest other aircraft: INTRUDER, 20.02 m from ONE at 4.0 s (Remote ID, as predicted aboard)"
+        in told(tmp_path)
+    )
 
 
 def test_after_a_pilot_took_over_the_closest_is_as_heard(tmp_path: Path) -> None:
@@ -157,7 +160,9 @@ def test_a_distance_that_the_law_took_wrongly_is_said(tmp_path: Path, made: Simp
         write(tmp_path, config, steps)
     row = describe(read_run(tmp_path))["conflicts"][0]
     assert not row["kept"]
-    assert row["done"][0] == ("ONE did nothing: its law saw no conflict (it assumed a distance of 60.0 m)")
+    assert row["done"][0] == (
+        "ONE did nothing: its law saw no conflict with it at that time (it assumed a distance of 60.0 m)"
+    )
     assert row["done"][1] == "TWO did nothing: its law made no decision at that time"
     assert "Separation LOST by 1 of 1 pairs; ONE - TWO: closest 1.41 m" in told(tmp_path)
 
@@ -244,4 +249,4 @@ def test_times_count_from_the_first_step_and_the_utc_of_that_is_told(tmp_path: P
     flight = figures["aircraft"][0]["flight"]
     assert (flight["start_s"], flight["end_s"]) == (0.0, 10.0)
     assert figures["utc_at_zero_s"] == 1_767_225_600.0
-    assert "at 0 s: 2026-01-01 00:00:00Z" in terminal.head(figures)
+    assert "at 0 s: 2026-01-01 00:00:00Z" in headline.head(figures)

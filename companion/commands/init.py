@@ -1,0 +1,331 @@
+"""`companion init`: writes a commented configuration, by options or by asking.
+
+What is written is loaded before it is kept, so that `companion check` accepts it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from companion import config as configuration
+from companion.config import EXAMPLE_ID
+from companion.errors import ConfigError
+from companion.shipped import names, shipped
+
+_EPILOG: Final = """examples:
+  companion init                                                    # asks, if it runs in a terminal
+  companion init --px4 --radio ether=127.0.0.1:14640
+  companion init --ardupilot --link serial:/dev/ttyAMA0:921600 --radio hci=user:0 --region us
+"""
+_COLUMN: Final = 36
+_LINK: Final = "udpin:127.0.0.1:14540"
+_WIRING: Final = {
+    "ardupilot serial": (
+        "# ArduPilot, for TELEM2: SERIAL2_PROTOCOL = 2 (MAVLink 2), SERIAL2_BAUD = 921 for 921600, and no\n"
+        "# flow control where its wires are missing: BRD_SER2_RTSCTS = 0."
+    ),
+    "ardupilot network": (
+        "# ArduPilot behind a router on this computer, or on Ethernet: there NET_P1_TYPE = 1 (UDP client),\n"
+        "# NET_P1_PROTOCOL = 2, NET_P1_IP0..3 this computer, NET_P1_PORT = 14540; the link listens on\n"
+        "# 0.0.0.0."
+    ),
+    "px4 serial": (
+        "# PX4, for TELEM2: MAV_1_CONFIG = 102, MAV_1_MODE = 2 (onboard), SER_TEL2_BAUD as in the link."
+    ),
+    "px4 network": (
+        "# PX4 behind a router on this computer, its simulation (which sends to port 14540 by itself), or\n"
+        "# on Ethernet: there MAV_2_CONFIG = 1000, MAV_2_MODE = 2 (onboard), MAV_2_REMOTE_PRT = 14540; the\n"
+        "# link listens on 0.0.0.0."
+    ),
+}
+"""What the autopilot's end of the link needs, by firmware and kind of link."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """One kind of radio, as `--radio` names it."""
+
+    words: str
+    example: str
+    """Example of what follows the kind; empty if nothing does."""
+    lines: tuple[tuple[str, str], ...]
+    """Its keys, with `{where}` for what follows the kind, and what is said of each."""
+    transports: tuple[str, ...]
+    """What is sent over it unless the user chooses."""
+
+
+_KINDS: Final = {
+    "null": _Kind("no radio", "", (('backend = "null"', ""),), ()),
+    "ether": _Kind(
+        "the simulated air",
+        "127.0.0.1:14640",
+        (('backend = "ether"', ""), ("address = {where}", "")),
+        ("wifi",),
+    ),
+    "hci": _Kind(
+        "a Bluetooth controller that no other software uses",
+        "user:0",
+        (
+            ('backend = "hci"', ""),
+            ("channel = {where}", "or uart:DEVICE:BAUD, tcp:HOST:PORT"),
+            ("# send = true", ""),
+            ("# listen = true", ""),
+        ),
+        ("ble4", "ble5"),
+    ),
+    "wifi": _Kind(
+        "a Wi-Fi card in monitor mode",
+        "mon0",
+        (
+            ('backend = "wifi"', ""),
+            ("inject = {where}", "sends beacons and NAN frames on it"),
+            ("monitor = {where}", "listens on it"),
+            ('# hostapd = "/run/hostapd/wlan0"', "in place of inject: sends beacons through hostapd"),
+            ("# channel = 6", ""),
+        ),
+        ("wifi",),
+    ),
+    "arduremoteid": _Kind(
+        "a module with ArduRemoteID firmware",
+        "serial:/dev/ttyACM0:57600",
+        (
+            ('backend = "arduremoteid"', ""),
+            ("link = {where}", "in the forms of vehicle.link"),
+            ("# system_id = 1", "the vehicle's"),
+        ),
+        ("wifi",),
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What a configuration is written for."""
+
+    firmware: Literal["ardupilot", "px4"] = "ardupilot"
+    link: str = _LINK
+    uas_id: str = EXAMPLE_ID
+    region: str = "none"
+    use: str = "watch"
+    radios: tuple[tuple[str, str], ...] = (("null", ""),)
+    """Kind of each radio, and what it is reached by."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `companion init`, which calls `run`."""
+    parser.description = (
+        "Write a commented configuration. What no option says is asked for in a terminal, and else takes its "
+        "default."
+    )
+    parser.epilog, parser.formatter_class = _EPILOG, argparse.RawDescriptionHelpFormatter
+    firmware = parser.add_mutually_exclusive_group()
+    for name in ("ardupilot", "px4"):
+        firmware.add_argument(f"--{name}", dest="firmware", action="store_const", const=name,
+                              help=f"the autopilot's firmware is {name}")  # fmt: skip
+    parser.add_argument("--link", help=f"link to the autopilot (default: {_LINK})")
+    parser.add_argument("--uas-id", metavar="ID", help="the aircraft's serial number by CTA-2063-A")
+    regions = names("regions", ".toml")
+    parser.add_argument("--region", choices=regions, help="whose Remote ID law is kept (default: none)")
+    parser.add_argument("--use", choices=("watch", "guard"), help="what it may do (default: watch)")
+    kinds = ", ".join(f"{name}={kind.example}".rstrip("=") for name, kind in _KINDS.items())
+    parser.add_argument("--radio", action="append", metavar="KIND=WHERE",
+                        help=f"a radio: {kinds}; may be given several times (default: null)")  # fmt: skip
+    parser.add_argument(
+        "--out", type=Path, default=Path("companion.toml"), metavar="FILE",
+        help="the file to write (default: companion.toml)")  # fmt: skip
+    parser.add_argument("--force", action="store_true", help="replace the file if it exists")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the configuration. Returns 0.
+
+    Raises:
+        ConfigError: an option or answer is wrong, or the file exists or cannot be written.
+    """
+    path: Path = arguments.out
+    if path.exists() and not arguments.force:
+        raise ConfigError(f"--out: {path}: exists already; choose another file, or replace it with --force")
+    asks = sys.stdin.isatty() and sys.stdout.isatty()
+    text = written(chosen(arguments, _ask if asks else None), path)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"--out: {path}: cannot be written: {error.strerror}") from error
+    print(f"wrote {path}; next: companion check --config {path}")
+    if EXAMPLE_ID in text:
+        print(f"identity.uas_id is an example: put the serial number of your aircraft into {path}")
+    return 0
+
+
+def chosen(arguments: argparse.Namespace, ask: Callable[[str, str], str] | None) -> Choices:
+    """The choices by the options, by asking for the others, or by default.
+
+    Args:
+        arguments: the parsed options.
+        ask: asks a question with a default answer and returns the answer; None: nobody is asked.
+
+    Raises:
+        ConfigError: an option or answer is wrong.
+    """
+    default = Choices()
+
+    def answer(given: str | None, question: str, otherwise: str, allowed: Sequence[str] = ()) -> str:
+        if given is not None or ask is None:
+            return otherwise if given is None else given
+        words = f"{question} ({', '.join(allowed)})" if allowed else question
+        while allowed and (said := ask(words, otherwise)) not in allowed:
+            print(f"{said!r}: allowed: {', '.join(allowed)}")
+        return said if allowed else ask(words, otherwise)
+
+    firmware = answer(arguments.firmware, "Firmware of the autopilot", default.firmware, ("ardupilot", "px4"))
+    link = answer(arguments.link, "Link to the autopilot", default.link)
+    uas_id = answer(arguments.uas_id, "Serial number of the aircraft (CTA-2063-A)", default.uas_id)
+    region = answer(arguments.region, "Region", default.region, names("regions", ".toml"))
+    given = arguments.radio or [answer(None, _radio_question(), "null")]
+    radios = tuple(_radio(text) for item in given for text in item.split())
+    heard = any(kind != "null" for kind, _ in radios)
+    use = answer(arguments.use, "Use", default.use, ("watch", "guard")) if heard else arguments.use
+    return Choices(
+        firmware="px4" if firmware == "px4" else "ardupilot",
+        link=link,
+        uas_id=uas_id,
+        region=region,
+        use=use or default.use,
+        radios=radios or default.radios,
+    )
+
+
+def _radio_question() -> str:
+    lines = (f"  {f'{name}={kind.example}'.rstrip('='):40s} {kind.words}" for name, kind in _KINDS.items())
+    return "\n".join(("Radios, one or more of these with a space between:", *lines, "Radios"))
+
+
+def _ask(question: str, default: str) -> str:
+    try:
+        return input(f"{question} [{default}]: ").strip() or default
+    except EOFError as error:
+        raise ConfigError("the questions were not answered; nothing was written") from error
+
+
+def _radio(text: str) -> tuple[str, str]:
+    kind, _, where = text.partition("=")
+    if kind not in _KINDS or bool(where) != bool(_KINDS[kind].example):
+        forms = ", ".join(f"{name}={k.example}".rstrip("=") for name, k in _KINDS.items())
+        raise ConfigError(f"--radio: {text!r}: allowed: one such as {forms}")
+    return kind, where
+
+
+def written(choices: Choices, path: Path) -> str:
+    """The text of a configuration that can be loaded.
+
+    Raises:
+        ConfigError: a choice is wrong; the message names its key.
+    """
+    text = _text(choices, path)
+    with tempfile.TemporaryDirectory() as folder:
+        draft = Path(folder) / path.name
+        draft.write_text(text, encoding="utf-8")
+        try:
+            configuration.load(draft)
+        except ConfigError as error:
+            raise ConfigError(str(error).replace(f"{folder}/", "")) from error
+    return text
+
+
+def _text(choices: Choices, path: Path) -> str:
+    link = "serial" if choices.link.startswith("serial:") else "network"
+    sent = [t for kind, _ in choices.radios for t in _KINDS[kind].transports] or ["wifi"]
+    transports = ", ".join(f'"{name}"' for name in dict.fromkeys(sent))
+    speed = "keep it below the vehicle's MPC_XY_VEL_MAX" if choices.firmware == "px4" else ""
+    return _TEMPLATE.format(
+        path=path,
+        every_key=shipped("config/companion.toml"),
+        wiring=_WIRING[f"{choices.firmware} {link}"],
+        uas_id=_line(
+            f"uas_id = {_quoted(choices.uas_id)}", "serial number by CTA-2063-A, on the air for all"
+        ),
+        link=_line(f"link = {_quoted(choices.link)}", "udpin:, udpout:, tcp:HOST:PORT or serial:DEVICE:BAUD"),
+        use=_line(f'use = "{choices.use}"', "watch: never command. guard: take the vehicle off its mission"),
+        speed=_line("max_speed_mps = 5.0", speed),
+        region=_line(f"region = {_quoted(choices.region)}", "whose law is kept: us, eu, jp, none, or a file"),
+        transports=_line(f"transports = [{transports}]", "ble4, ble5, wifi (beacon), nan: sent on together"),
+        radios="\n\n".join(_radio_table(kind, where) for kind, where in choices.radios),
+    )
+
+
+def _radio_table(kind: str, where: str) -> str:
+    lines = [_line("[[radio]]", f"{_KINDS[kind].words}; docs/radios.md")]
+    lines += [_line(key.replace("{where}", _quoted(where)), words) for key, words in _KINDS[kind].lines]
+    return "\n".join(lines)
+
+
+def _line(assignment: str, words: str) -> str:
+    return f"{assignment:<{_COLUMN - 1}} # {words}" if words else assignment
+
+
+def _quoted(text: str) -> str:
+    """A text as a TOML string."""
+    for sign, escaped in (("\\", "\\\\"), ('"', '\\"')):
+        text = text.replace(sign, escaped)
+    if not text.isprintable():
+        raise ConfigError(f"{text!r}: allowed: printable characters")
+    return f'"{text}"'
+
+
+_TEMPLATE: Final = """\
+# Written by `companion init`. Check it with: companion check --config {path}
+# A key behind "#" shows its default or an example. Every key stands, explained, in
+# {every_key}
+
+[identity]
+{uas_id}
+# registration_id = "JU322627C69E"  # the state's number of the aircraft, sent beside the serial number
+
+[vehicle]
+{wiring}
+{link}
+# system_id = 0                     # vehicle to fly with; 0: the only one on the link, of two none
+# signing_key = "signing.key"       # key file of MAVLink 2 signing (chmod 600); none: nothing is checked
+
+[flight]
+{use}
+                                    # for a conflict alone. fly: command the timed trajectory (docs/uses.md)
+rearm = "disarm"                    # after the pilot took over: by "mode", "disarm" or "never"
+
+[limits]
+{speed}
+max_climb_mps = 2.0
+max_descent_mps = 2.0
+# floor_height_m = 20.0             # above home
+# ceiling_height_m = 120.0
+# fence = "fence.toml"              # or "vehicle": the geofence that the vehicle holds
+
+[avoidance]
+conflict_radius_m = 5.0             # each aircraft's; two of them are kept apart
+# crewed_horizontal_m = 150.0       # kept from crewed traffic (ADS-B) to the side,
+# crewed_vertical_m = 50.0          # or in height
+
+[remote_id]
+{region}
+{transports}
+rate = 2                            # messages a second on each
+# operator_id = "FIN87astrdge12k8-xyz"  # EU: whole; the three secret characters are checked, never sent
+
+[atmc]
+# policy = "rule"                   # who chooses transports and rates in flight: "rule", "fixed", "atmc" or
+                                    # a file; without it they stay as [remote_id] says
+
+[record]
+# folder = "runs"                   # from where the companion is started
+keep_free_mb = 500.0                # below this much free disk nothing is recorded; the flight goes on
+# delete_oldest = true              # old runs make room; without it a full disk ends the recording
+
+{radios}
+"""

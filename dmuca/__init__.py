@@ -1,0 +1,43 @@
+"""The project under the name that it is installed by: its version and its public rooms.
+
+`dmuca.remote_id` is `companion.remote_id`, and so on for each name in `ROOMS`; docs/library.md describes
+them. A room is imported when it is first used, so that `import dmuca` alone takes no time and needs no extra.
+In an installed copy this folder also holds `config` and `results`, which `companion.shipped` finds.
+"""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+from typing import Final
+
+from companion import __version__
+
+ROOMS: Final = {
+    "remote_id": "companion.remote_id",
+    "traffic": "companion.traffic",
+    "avoidance": "companion.avoidance",
+    "atmc": "companion.atmc",
+    "channel": "sitl_mocks.channel",
+    "training": "ground_tools.atmc",
+}
+"""Public rooms: the name here, and the module that it stands for. `training` needs the extra `train`."""
+
+__all__ = ["ROOMS", "__version__"]
+
+
+def __getattr__(name: str) -> ModuleType:
+    """A public room, imported when it is first used.
+
+    Raises:
+        AttributeError: there is no such room.
+    """
+    if name not in ROOMS:
+        raise AttributeError(f"dmuca has no room {name!r}; its rooms are {', '.join(ROOMS)}")
+    room = importlib.import_module(ROOMS[name])
+    globals()[name] = room
+    return room
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *ROOMS})

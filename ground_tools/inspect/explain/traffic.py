@@ -1,0 +1,91 @@
+"""Which other aircraft one aircraft heard, by what, when, and how near they came by their own reports."""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from typing import Any
+
+import numpy as np
+
+from companion.arrays import Floats
+from ground_tools.inspect.read.read_run import AircraftRecord
+
+ADSB = "ADS-B"
+
+
+def heard(record: AircraftRecord, of_the_run: Container[str], offset_s: float) -> list[dict[str, Any]]:
+    """Return a row for each aircraft that was heard, ready for JSON, the nearest first.
+
+    Args:
+        record: who heard.
+        of_the_run: identities of the aircraft that the run has records of; their rows say so.
+        offset_s: added to times.
+    """
+    rows = [*_by_remote_id(record), *_by_adsb(record)]
+    for row in rows:
+        row["of_the_run"] = row["identity"] in of_the_run
+        row["first_s"] += offset_s
+        row["last_s"] += offset_s
+        if row["nearest"] is not None:
+            row["nearest"]["time_s"] += offset_s
+    return sorted(rows, key=_distance)
+
+
+def _distance(row: dict[str, Any]) -> tuple[float, str]:
+    return float("inf") if row["nearest"] is None else row["nearest"]["slant_m"], row["identity"]
+
+
+def _by_remote_id(record: AircraftRecord) -> list[dict[str, Any]]:
+    """One row for each identity. Addresses without an identity have a row of their own."""
+    own = None if record.header is None else record.header.config.identity.uas_id
+    groups: dict[str, list[str]] = {}
+    for address, one in record.facts.heard.items():
+        for name in one.uas_ids or (address,):
+            if name != own:
+                groups.setdefault(name, []).append(address)
+    rows = []
+    for name, addresses in groups.items():
+        parts = [record.facts.heard[address] for address in addresses]
+        rows.append(
+            {
+                "identity": name,
+                "callsign": "",
+                "by": "Remote ID: " + ", ".join(sorted({t for one in parts for t in one.transports})),
+                "messages": sum(len(one.now_s) for one in parts),
+                "first_s": float(min(one.now_s[0] for one in parts)),
+                "last_s": float(max(one.now_s[-1] for one in parts)),
+                "nearest": _nearest(np.concatenate([one.near for one in parts]), barometric=False),
+            }
+        )
+    return rows
+
+
+def _by_adsb(record: AircraftRecord) -> list[dict[str, Any]]:
+    own = None if record.header is None else record.header.config.identity.icao
+    return [
+        {
+            "identity": icao,
+            "callsign": one.callsign,
+            "by": ADSB,
+            "messages": one.reports,
+            "first_s": one.first_s,
+            "last_s": one.last_s,
+            "nearest": _nearest(one.near, barometric=one.barometric),
+        }
+        for icao, one in record.facts.adsb.items()
+        if own is None or icao != own.upper()
+    ]
+
+
+def _nearest(near: Floats, *, barometric: bool) -> dict[str, Any] | None:
+    """The closest approach; None if the positions of both were never known at the same time."""
+    if not len(near):
+        return None
+    now_s, slant, aside, above = near[int(near[:, 1].argmin())].tolist()
+    return {
+        "time_s": now_s,
+        "slant_m": slant,
+        "aside_m": aside,
+        "above_m": None if np.isnan(above) else above,
+        "barometric": barometric and not np.isnan(above),
+    }

@@ -1,0 +1,32 @@
+"""Heights above home, and samples among them that no aircraft can have flown."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.arrays import Bools, Floats
+
+SPIKE_M = 30.0
+"""A height farther than this from the median of its neighbours is no height of the flight."""
+_SIDE = 4
+"""Neighbours on each side that are looked at. Steady climbs and descents pass, however fast."""
+_NEAR_S = 5.0
+"""Neighbours farther away in time say nothing about a sample."""
+
+
+def spikes(time_s: Floats, height_m: Floats) -> Bools:
+    """Which samples stand out from those around them, (n,): single bad altitudes, up to four in a row.
+
+    Args:
+        time_s: (n,) rising times.
+        height_m: (n,) heights.
+    """
+    if len(time_s) < 3:
+        return np.zeros(len(time_s), bool)
+    padded = np.pad(height_m, _SIDE, constant_values=np.nan)
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _SIDE + 1)
+    times = np.pad(time_s, _SIDE, constant_values=np.nan)
+    away = abs(np.lib.stride_tricks.sliding_window_view(times, 2 * _SIDE + 1) - time_s[:, None])
+    near = np.where(away <= _NEAR_S, around, np.nan)
+    near[:, _SIDE] = height_m
+    return np.asarray(abs(height_m - np.nanmedian(near, axis=1)) > SPIKE_M)

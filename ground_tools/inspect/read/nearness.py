@@ -1,0 +1,119 @@
+"""How near other aircraft came to one aircraft, by the positions that they reported.
+
+Rows hold one approach a second, so that a day with busy traffic stays small.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from companion.arrays import Floats
+from companion.events import AdsbVehicle
+from companion.geometry import LocalFrame, Vec3
+
+ADSB_STAMP_S = 0.5
+"""Mean error of the age of an ADS-B report, which is whole seconds, rounded down."""
+_COLUMNS = 4
+_MOST = 2000
+"""Most ADS-B addresses kept of one record; a log that names more of them is damaged or hostile."""
+
+
+@dataclass(slots=True)
+class Approaches:
+    """Collects approaches of one aircraft; keeps the nearest one of each second."""
+
+    values: array[float] = field(default_factory=lambda: array("d"))
+
+    def add(self, now_s: float, away_ned_m: Vec3, *, vertical_known: bool) -> None:
+        """Add one position relative to our own.
+
+        Args:
+            now_s: time, not before the last one.
+            away_ned_m: other minus own.
+            vertical_known: whether the third component means anything.
+        """
+        aside = math.hypot(away_ned_m[0], away_ned_m[1])
+        above = -away_ned_m[2] if vertical_known else math.nan
+        row = now_s, math.hypot(aside, above) if vertical_known else aside, aside, above
+        if not self.values or now_s - math.floor(self.values[-_COLUMNS]) >= 1.0:
+            self.values.extend(row)
+        elif row[1] < self.values[1 - _COLUMNS]:
+            self.values[-_COLUMNS:] = array("d", row)
+
+    def rows(self) -> Floats:
+        """(n, 4) now_s, slant distance (m), distance to the side (m), height above us (m).
+
+        The height is NaN where it is unknown; the slant distance is then that to the side.
+        """
+        return np.asarray(self.values).reshape(-1, _COLUMNS)
+
+
+@dataclass(frozen=True, slots=True)
+class HeardAdsb:
+    """One aircraft that the autopilot's ADS-B receiver heard."""
+
+    callsign: str
+    reports: int
+    first_s: float
+    last_s: float
+    barometric: bool
+    """True if any of its altitudes was barometric: it is then compared with our height above mean sea level,
+    which it may miss by a hundred metres or more."""
+    near: Floats
+    """As `Approaches.rows`."""
+
+
+@dataclass(slots=True)
+class _Adsb:
+    first_s: float
+    callsign: str = ""
+    reports: int = 0
+    last_s: float = 0.0
+    barometric: bool = False
+    near: Approaches = field(default_factory=Approaches)
+
+
+class AdsbTally:
+    """Collects the ADS-B reports of one record."""
+
+    def __init__(self) -> None:
+        self._heard: dict[int, _Adsb] = {}
+
+    def hear(self, now_s: float, event: AdsbVehicle, own: tuple[float, float, float] | None) -> None:
+        """Add a report.
+
+        Args:
+            now_s: time of its reception.
+            event: the report.
+            own: our latitude, longitude (deg) and altitude in the datum of the report; None if unknown.
+        """
+        if event.icao not in self._heard and len(self._heard) >= _MOST:
+            return
+        one = self._heard.setdefault(event.icao, _Adsb(now_s))
+        one.reports, one.last_s = one.reports + 1, now_s
+        one.callsign = event.callsign.strip() or one.callsign
+        one.barometric |= event.alt_m is not None and not event.alt_geometric
+        if own is not None:
+            one.near.add(now_s, _away(event, own), vertical_known=event.alt_m is not None)
+
+    def heard(self) -> dict[str, HeardAdsb]:
+        """What was heard, by the ICAO address in hexadecimal digits."""
+        return {
+            f"{icao:06X}": HeardAdsb(
+                one.callsign, one.reports, one.first_s, one.last_s, one.barometric, one.near.rows()
+            )
+            for icao, one in self._heard.items()
+        }
+
+
+def _away(event: AdsbVehicle, own: tuple[float, float, float]) -> Vec3:
+    """Position of the other relative to our own, carried forward over the age of the report."""
+    alt_m = own[2] if event.alt_m is None else event.alt_m
+    north, east, down = LocalFrame(*own).to_ned(event.lat_deg, event.lon_deg, alt_m)
+    age_s = event.age_s + ADSB_STAMP_S
+    v = event.velocity_ned_mps or (0.0, 0.0, 0.0)
+    return north + v[0] * age_s, east + v[1] * age_s, down + v[2] * age_s

@@ -1,0 +1,153 @@
+"""The first lines about a run: what happened, who came near and how near, who gave way, what was broken."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
+
+from ground_tools.inspect.read.timeline import utc_words
+
+_NAMED: Final = 3
+"""Most kinds of faults, and most aircraft that gave way, that a line names."""
+
+
+def head(figures: dict[str, Any]) -> str:
+    """Return a line with the run's name, its time line, and the source of its distances."""
+    zero = figures["utc_at_zero_s"]
+    return (
+        f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}; "
+        f"{f'at 0 s: {utc_words(zero)}; ' if zero is not None else ''}"
+        f"distances from {figures['positions'] or 'no positions'}"
+    )
+
+
+def verdicts(figures: dict[str, Any]) -> list[str]:
+    """Return the most important results, one line each: separation, the nearest other aircraft, Remote ID,
+    manoeuvres, faults."""
+    aircraft = figures["aircraft"]
+    return [
+        *_on_separation(figures),
+        _on_traffic(figures),
+        *_on_remote_id(aircraft),
+        _on_manoeuvres(aircraft),
+        _on_faults(aircraft),
+    ]
+
+
+def is_bad(words: str) -> bool:
+    """Return whether a line of `verdicts` reports a lost separation or a requirement that was not kept."""
+    return words.startswith("Separation LOST") or (words.startswith("Remote ID") and "NOT kept by" in words)
+
+
+def _on_separation(figures: dict[str, Any]) -> list[str]:
+    """Separation of the aircraft that were recorded; nothing if there is only one."""
+    known = [row for row in figures["separations"] if row["minimum_m"] is not None]
+    if not known:
+        alone = len(figures["aircraft"]) < 2
+        return [] if alone else ["Separation: not known: no two aircraft have positions at the same time"]
+    lost = sum(not row["kept"] for row in known)
+    how = f"LOST by {lost} of {len(known)} pairs" if lost else f"kept by {len(known)} of {len(known)} pairs"
+    least = known[0]
+    return [
+        f"Separation {how}; {' - '.join(least['pair'])}: closest {least['minimum_m']:.2f} m at "
+        f"{least['minimum_time_s']:.2f} s ({least['required_m']:g} m {'kept' if least['kept'] else 'LOST'})"
+    ]
+
+
+def _on_traffic(figures: dict[str, Any]) -> str:
+    """The nearest aircraft that has no record here: how near, when, heard by what."""
+    aircraft = figures["aircraft"]
+    others = [(one["name"], row) for one in aircraft for row in one["traffic"] if not row["of_the_run"]]
+    count = len({row["identity"] for _, row in others})
+    predicted = [row for row in figures["conflicts"] if row["by"] != "positions"]
+    near = [(row["nearest"]["slant_m"], name, row) for name, row in others if row["nearest"] is not None]
+    least = min(near, key=lambda one: one[0], default=None)
+    if predicted and (least is None or predicted[0]["minimum_m"] < least[0]):
+        row = predicted[0]
+        words = f"{row['pair'][1]}, {row['minimum_m']:.2f} m from {row['pair'][0]} at {row['time_s']:.1f} s"
+        count = max(count, len({row["pair"][1] for row in predicted}))
+        return f"Nearest other aircraft: {words} ({row['by']}); {_in_all(count)}"
+    if least is not None:
+        return f"Nearest other aircraft: {_approach(least[1], least[2])}; {_in_all(count)}"
+    if count:
+        return f"Other aircraft: {count} heard; how near they came is not known"
+    return f"Other aircraft: none was heard{'' if len(aircraft) < 2 else ' beside those of the run'}"
+
+
+def _in_all(count: int) -> str:
+    return f"{count} other aircraft in all" if count > 1 else "no other was heard"
+
+
+def _approach(name: str, row: dict[str, Any]) -> str:
+    """How near a heard aircraft came, in words."""
+    nearest = row["nearest"]
+    callsign = f" ({row['callsign']})" if row["callsign"] else ""
+    height = ", at an unknown height,"
+    if nearest["above_m"] is not None:
+        way = "above" if nearest["above_m"] >= 0.0 else "below"
+        height = f" and {abs(nearest['above_m']):.0f} m {way} it"
+        height += " by barometric altitude" if nearest["barometric"] else ""
+    return (
+        f"{row['identity']}{callsign}, {nearest['aside_m']:.0f} m beside {name}{height} at "
+        f"{nearest['time_s']:.1f} s ({row['by']}, as reported)"
+    )
+
+
+def _on_remote_id(aircraft: Sequence[dict[str, Any]]) -> list[str]:
+    found = []
+    regions: dict[str, list[dict[str, Any]]] = {}
+    for one in aircraft:
+        if one["remote_id"]["region"] is not None:
+            regions.setdefault(one["remote_id"]["region"], []).append(one)
+    for region, members in regions.items():
+        rows = [row for one in members for row in one["remote_id"]["sent"] if row["kept"] is not None]
+        broken = [
+            one["name"]
+            for one in members
+            if one["remote_id"]["not_legal_s"] > 0.0
+            or any(row["kept"] is False for row in one["remote_id"]["sent"])
+        ]
+        if broken:
+            found.append(f"Remote ID: minimum rates of region {region} NOT kept by {', '.join(broken)}")
+        elif rows:
+            found.append(f"Remote ID: minimum rates of region {region} kept by all {len(members)} aircraft")
+        else:
+            found.append(f"Remote ID: region {region} requires no minimum rate for the sent messages")
+    return found
+
+
+def _on_manoeuvres(aircraft: Sequence[dict[str, Any]]) -> str:
+    counts = {one["name"]: len(one["manoeuvres"]) for one in aircraft if one["manoeuvres"]}
+    words = f"Manoeuvres: {sum(counts.values())}"
+    return f"{words}; gave way: {_most(counts.items())}" if counts else words
+
+
+def _on_faults(aircraft: Sequence[dict[str, Any]]) -> str:
+    counts = Counter(
+        f"{row['what']}: {row['text']}" if row["what"] in ("vehicle", "companion") else row["what"]
+        for one in aircraft
+        for row in one["faults"]
+    )
+    words = f"Faults and warnings: {counts.total()}"
+    return f"{words}; {_most(counts.most_common())}" if counts else words
+
+
+def _most(counts: Iterable[tuple[str, int]]) -> str:
+    """The first few names, each with its count if it is more than 1."""
+    rows = list(counts)
+    words = [f"{name} ({count})" if count > 1 else name for name, count in rows[:_NAMED]]
+    return ", ".join([*words, f"{len(rows) - _NAMED} more kinds"] if len(rows) > _NAMED else words)
+
+
+def damage(figures: dict[str, Any]) -> list[str]:
+    """Return what is damaged or unreadable, one line each."""
+    return [f"problem: {words}" for words in figures["problems"]]
+
+
+def about(figures: dict[str, Any]) -> list[str]:
+    """Return what the input is and what it does not contain, one line each. None of these is an error."""
+    notes = [f"note: {words}" for words in figures.get("notes", ())]
+    return notes + [
+        f"missing: {one['name']}: {words}" for one in figures["aircraft"] for words in one["missing"]
+    ]

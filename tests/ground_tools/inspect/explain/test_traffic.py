@@ -1,0 +1,159 @@
+"""Who came near is told for every kind of log: in the figures, in the tables and in the first lines."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from companion.config import Config, FlightConfig, IdentityConfig
+from companion.event_record import Step
+from companion.events import AdsbVehicle, AuthorityChanged, GnssFix, RemoteIdHeard
+from companion.remote_id.messages import BasicId, IdType, Location, UaType
+from ground_tools.inspect.read.nearness import ADSB_STAMP_S
+from ground_tools.inspect.read.read_run import read_run
+from ground_tools.inspect.report import headline, terminal
+from ground_tools.inspect.report.page import page
+from ground_tools.inspect.report.summary import describe
+from tests.ground_tools.inspect.flights import decision, step, track, write
+from tests.support.place import HOME
+
+DATA = Path(__file__).parents[3] / "data"
+ONE = Config(identity=IdentityConfig(uas_id="ONE", icao="4B1234"))
+
+
+def adsb(north_m: float, east_m: float, up_m: float | None, **over) -> AdsbVehicle:
+    """An aircraft by its place relative to where `step` flies at 0 s, 50 m above home."""
+    lat, lon, alt = HOME.to_geodetic(north_m, east_m, -50.0 - (up_m or 0.0))
+    values = {"icao": 0x4CA123, "lat_deg": lat, "lon_deg": lon, "alt_m": None if up_m is None else alt}
+    return AdsbVehicle(**(values | {"callsign": "EI1  "} | over))
+
+
+def remote_id(name: str, north_m: float, east_m: float, *, alt_m: float | None = 450.0) -> RemoteIdHeard:
+    lat, lon, _ = HOME.to_geodetic(north_m, east_m, 0.0)
+    who = BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id=name)
+    where = Location(lat_deg=lat, lon_deg=lon, alt_geodetic_m=alt_m)
+    return RemoteIdHeard(
+        transport="wifi", address=f"02:{name}", counter=1, rssi_dbm=-60, messages=(who, where)
+    )
+
+
+def heard(folder: Path, *events, config: Config = ONE):
+    """Rows of the traffic that ONE heard, one event a second from 0 s."""
+    steps = [step(float(k), events=(event,)) for k, event in enumerate(events)]
+    write(folder, config, [*steps, step(float(len(steps)))])
+    return describe(read_run(folder))
+
+
+def test_an_adsb_aircraft_is_told_by_how_near_and_when(tmp_path):
+    figures = heard(tmp_path, adsb(500.0, 0.0, 300.0), adsb(0.0, 190.0, 214.0), adsb(0.0, 900.0, 214.0))
+    (row,) = figures["aircraft"][0]["traffic"]
+    assert (row["identity"], row["callsign"], row["by"], row["messages"]) == ("4CA123", "EI1", "ADS-B", 3)
+    near = row["nearest"]
+    assert near["time_s"] == 1.0
+    assert near["aside_m"] == pytest.approx(190.0, abs=1.0)
+    assert near["above_m"] == pytest.approx(214.0, abs=0.5)
+    assert near["slant_m"] == pytest.approx(286.2, abs=1.0)
+    (first, *_) = headline.verdicts(figures)
+    assert first == (
+        "Nearest other aircraft: 4CA123 (EI1), 190 m beside ONE and 214 m above it by barometric altitude at "
+        "1.0 s (ADS-B, as reported); no other was heard"
+    )
+    text = terminal.text(figures)
+    assert "Other aircraft that were heard" in text
+    assert "214 baro" in text
+    assert json.loads(json.dumps(figures)) == figures
+
+
+def test_a_report_is_carried_forward_over_its_age(tmp_path):
+    event = adsb(0.0, 1000.0, 100.0, age_s=2.0, velocity_ned_mps=(0.0, -100.0, 0.0), alt_geometric=True)
+    (row,) = heard(tmp_path, event)["aircraft"][0]["traffic"]
+    assert row["nearest"]["aside_m"] == pytest.approx(1000.0 - 100.0 * (2.0 + ADSB_STAMP_S), abs=2.0)
+    assert not row["nearest"]["barometric"]
+
+
+def test_a_geometric_altitude_is_compared_above_the_ellipsoid(tmp_path):
+    gnss = GnssFix(
+        fix_type=3, lat_deg=HOME.lat_deg, lon_deg=HOME.lon_deg, alt_msl_m=450.0, alt_ellipsoid_m=498.0
+    )
+    figures = heard(tmp_path, gnss, adsb(0.0, 100.0, 48.0, alt_geometric=True))
+    assert figures["aircraft"][0]["traffic"][0]["nearest"]["above_m"] == pytest.approx(0.0, abs=0.5)
+
+
+def test_the_own_transponder_and_the_own_remote_id_are_no_traffic(tmp_path):
+    figures = heard(tmp_path, adsb(0.0, 0.0, 0.0, icao=0x4B1234), remote_id("ONE", 0.0, 0.0))
+    assert figures["aircraft"][0]["traffic"] == []
+    assert headline.verdicts(figures)[0] == "Other aircraft: none was heard"
+
+
+def test_a_height_that_is_not_known_is_said(tmp_path):
+    figures = heard(tmp_path, adsb(0.0, 80.0, None), remote_id("TWO", 0.0, 300.0, alt_m=None))
+    rows = figures["aircraft"][0]["traffic"]
+    assert [row["identity"] for row in rows] == ["4CA123", "TWO"]
+    assert rows[0]["nearest"]["above_m"] is None
+    assert "80 m beside ONE, at an unknown height, at" in headline.verdicts(figures)[0]
+    assert headline.verdicts(figures)[0].endswith("2 other aircraft in all")
+
+
+def test_without_own_positions_how_near_is_not_known(tmp_path):
+    steps = [Step(now_s=float(k), events=(adsb(0.0, 80.0, 10.0),), commands=()) for k in range(5)]
+    write(tmp_path, ONE, steps)
+    figures = describe(read_run(tmp_path))
+    assert figures["aircraft"][0]["traffic"][0]["nearest"] is None
+    assert "Other aircraft: 1 heard; how near they came is not known" in headline.verdicts(figures)
+
+
+def test_aircraft_of_the_run_are_told_as_pairs(tmp_path):
+    write(tmp_path, ONE, [step(0.0, events=(remote_id("TWO", 0.0, 30.0),)), step(1.0)])
+    write(tmp_path, Config(identity=IdentityConfig(uas_id="TWO")), [step(0.0), step(1.0)])
+    figures = describe(read_run(tmp_path))
+    assert [row["of_the_run"] for row in figures["aircraft"][0]["traffic"]] == [True]
+    assert "Other aircraft: none was heard beside those of the run" in headline.verdicts(figures)
+    assert "Other aircraft that were heard" not in terminal.text(figures)
+
+
+def test_a_log_of_an_autopilot_alone_tells_all_that_it_heard(tmp_path):
+    pytest.importorskip("matplotlib")
+    path = tmp_path / "ardupilot_sitl_odid_adsb.tlog"
+    with gzip.open(DATA / f"{path.name}.gz") as packed, path.open("wb") as plain:
+        shutil.copyfileobj(packed, plain)
+    run = read_run(path)
+    figures = describe(run)
+    rows = figures["aircraft"][0]["traffic"]
+    assert len(rows) == 19
+    assert (rows[0]["identity"], rows[0]["callsign"]) == ("001225", "SIM4645")
+    assert rows[0]["nearest"]["aside_m"] == pytest.approx(200.7, abs=1.0)
+    first = headline.verdicts(figures)[0]
+    assert first.startswith("Nearest other aircraft: 001225 (SIM4645), 201 m beside")
+    assert first.endswith("19 other aircraft in all")
+    text = page(run, figures)
+    assert text.index("001225 (SIM4645)") < text.index("<h2>")
+    assert all(row["identity"] in text for row in rows)
+    # The page of the documentation counts what the tool counts.
+    line = next(
+        line
+        for line in (DATA.parents[1] / "docs" / "inspect.md").read_text().splitlines()
+        if "19 ICAO addresses" in line
+    )
+    faults = figures["aircraft"][0]["faults"]
+    reboots = [row for row in faults if "restarted" in row["text"]]
+    assert f"one reboot, {len(faults) - len(reboots)} warnings" in line
+    assert len(reboots) == 1
+
+
+def test_who_was_avoiding_another_is_not_said_to_have_done_nothing(tmp_path):
+    """TWO comes near while ONE flies around THREE."""
+    busy = AuthorityChanged(
+        previous="guarding", state="avoiding", trigger="conflict", reason="conflict with X"
+    )
+    config = Config(identity=IdentityConfig(uas_id="ONE"), flight=FlightConfig(use="fly"))
+    other = track("TWO", position_ned_m=(30.0, 0.0, -51.0), conflict=False, active=False)
+    steps = [step(k / 5, decision(track("THREE"), other, chosen=(4, 3, 0))) for k in range(1, 40)]
+    write(tmp_path, config, [step(0.0, busy), *steps])
+    write(tmp_path, Config(identity=IdentityConfig(uas_id="TWO")), [step(k / 5) for k in range(41)])
+    (row, *_) = describe(read_run(tmp_path))["conflicts"]
+    assert sorted(row["pair"]) == ["ONE", "TWO"]
+    assert "ONE was avoiding THREE at that time" in "; ".join(row["done"])

@@ -1,0 +1,96 @@
+"""What the wheel and the source archive hold, and the import name `dmuca`."""
+
+import re
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+import companion
+import dmuca
+from tests import installed
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("dmuca", "companion", "sitl_mocks", "ground_tools")
+SHIPPED = ("config/channel", "config/policies", "config/regions", "config/scenarios", "results")
+CONFIGURATIONS = ("ardupilot-serial", "ardupilot-udp", "companion", "fence", "px4-udp", "trajectory")
+
+
+@pytest.fixture(scope="module")
+def archives(tmp_path_factory):
+    """Wheel and source archive, built from this checkout."""
+    out = tmp_path_factory.mktemp("dist")
+    command = [sys.executable, "-m", "hatchling", "build", "-d", str(out)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    (wheel,), (source,) = out.glob("*.whl"), out.glob("*.tar.gz")
+    with tarfile.open(source) as archive:
+        return zipfile.ZipFile(wheel).namelist(), [name.partition("/")[2] for name in archive.getnames()]
+
+
+def kept(top):
+    """Files of a folder of the checkout that belong to the project."""
+    files = (p for p in (ROOT / top).rglob("*") if p.is_file() and "__pycache__" not in p.parts)
+    return {str(p.relative_to(ROOT)) for p in files} - {"results/atmc/closed-loop.png"}
+
+
+def test_the_wheel_holds_all_code_and_all_data(archives):
+    wheel, _ = archives
+    code = set().union(*(kept(package) for package in PACKAGES))
+    data = set().union(*(kept(top) for top in SHIPPED)) | {f"config/{name}.toml" for name in CONFIGURATIONS}
+    assert len(data) > 60
+    inside = {name for name in wheel if not name.startswith("dmuca-")}
+    assert inside == code | {f"dmuca/{name}" for name in data}
+
+
+def test_the_wheel_takes_named_files_only_from_the_folder_that_users_edit():
+    """A checkout's config folder may hold keys and the user's own configurations."""
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
+    assert "config" not in build["targets"]["wheel"]["only-include"]
+    assert {"*.pem", "*.key"} <= set(build["exclude"])
+
+
+def test_the_source_archive_holds_what_a_wheel_is_built_from(archives):
+    _, source = archives
+    for top in (*PACKAGES, *SHIPPED, "docs", "tests", "deploy"):
+        assert kept(top) <= set(source)
+    assert {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md"} <= set(source)
+
+
+def test_the_project_has_one_version():
+    assert dmuca.__version__ == companion.__version__ == metadata.version("dmuca")
+
+
+def test_the_guessable_name_leads_to_the_public_rooms():
+    assert set(dmuca.ROOMS) <= set(dir(dmuca))
+    for name, module in dmuca.ROOMS.items():
+        assert getattr(dmuca, name).__name__ == module
+    with pytest.raises(AttributeError, match="its rooms are remote_id, traffic"):
+        dmuca.no_such_room  # noqa: B018 - the access itself is tested
+
+
+def test_the_name_alone_loads_nothing_heavy():
+    code = "import dmuca, sys; print(dmuca.__version__, *sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True
+    )
+    assert loaded.stdout.startswith(dmuca.__version__)
+    assert not {"numpy", "numba", "torch"} & set(loaded.stdout.split())
+
+
+def test_every_command_of_the_docs_is_tried_in_an_empty_environment_or_known_to_need_more():
+    """What `python -m tests.installed` runs; a pattern that no command needs any more is a mistake."""
+    commands = installed.commands_of_the_docs()
+    tried = [command for command in commands if installed.untried(command) is None]
+    assert len(tried) > 45
+    for pattern in installed.UNTRIED:
+        assert any(re.search(pattern, command) for command in commands), pattern
+    for pattern, _ in installed.SMALLER:
+        assert any(re.search(pattern, command) for command in commands), pattern
+    left = [c for c in map(installed.smaller, tried) if re.search(r"\b(NAME|OTHER|FILE|DIR|RUN|CASES)\b", c)]
+    assert not left, "placeholders without a file"
