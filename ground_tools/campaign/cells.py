@@ -23,11 +23,14 @@ from companion.errors import ConfigError
 from ground_tools.campaign import flight, outcome, powers, vehicles
 from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.generators import draw
+from ground_tools.campaign.peers import common
+from ground_tools.campaign.peers import laws as peers
 from ground_tools.campaign.world import World
 from ground_tools.common.kept_lines import Kept
 from ground_tools.results import sources
 
 Law = Literal["dmuca", "paper", "none"]
+"""The companion's laws. A `Cell` may also be flown by one of `peers.laws.PEERS`."""
 LAWS: dict[Law, AvoidanceConfig] = {
     "dmuca": AvoidanceConfig(),
     # The paper gives no parameters; of those that were tried, these kept pairs apart most often.
@@ -67,7 +70,8 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
 
     generator: str
     aircraft: int
-    law: Law = "dmuca"
+    law: str = "dmuca"
+    """A key of `LAWS`, or a peer as `peers.laws.of` reads it."""
     speed_mps: float = 5.0
     """Greatest speed of each aircraft."""
     delay_s: tuple[float, float] = (0.0, 1.0)
@@ -94,7 +98,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     def name(self) -> str:
         """Name of the cell's file. Two cells with the same name are equal."""
         digest = hashlib.sha256(msgspec.json.encode(self)).hexdigest()[:8]
-        return f"{self.generator}-{self.aircraft}-{self.law}-{digest}"
+        return f"{self.generator}-{self.aircraft}-{self.law.partition(':')[0]}-{digest}"
 
 
 class Row(msgspec.Struct, frozen=True, array_like=True):
@@ -186,7 +190,7 @@ def look(cell: Cell, seed: int) -> Look:
 
 
 def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
-    avoidance = LAWS[cell.law]
+    avoidance, peer = law_of(cell)
     try:
         times, points = draw(cell.generator, cell.aircraft, cell.speed_mps, seed)
     except ValueError as error:
@@ -200,10 +204,8 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
     settings = np.array(
         [
-            own if kind == vehicles.AVOIDS else own._replace(law=kernels.NONE)
-            for own, kind in zip(
-                map(settings_of, [avoidance] * len(paths), limits, paths), kinds, strict=True
-            )
+            _settings(settings_of(avoidance, own, path), kind == vehicles.AVOIDS, peer)
+            for own, path, kind in zip(limits, paths, kinds.tolist(), strict=True)
         ]
     )
     fence = _fence_beside(points) if cell.world == "fence" else kernels.NO_WALLS
@@ -233,11 +235,44 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     else:
         flight.fly(
             rng, conditions, times, points, fence, settings, kinds, trace, log, pairs, result, measured,
-            power_rng,
+            power_rng, None if peer is None else peer[0].loop,
         )  # fmt: skip
     flagged = np.argwhere(measured.suspicion[:, :, powers.S_FLAGGED] != 0.0).tolist()
     found = _row(seed, result, pairs[np.tril_indices(n, -1)], flagged)
     return Look(found, world, avoidance, tuple(limits), fence, times, points, kinds, trace, log)
+
+
+def law_of(cell: Cell) -> tuple[AvoidanceConfig, tuple[peers.Peer, peers.Parameters] | None]:
+    """The configuration of the companion's law, and the peer that flies instead of it.
+
+    Raises:
+        ConfigError: there is no such law, or it cannot fly this cell.
+    """
+    for name, avoidance in LAWS.items():
+        if name == cell.law:
+            return avoidance, None
+    try:
+        peer = peers.of(cell.law)
+    except ValueError as error:
+        raise ConfigError(f"--law: {error}, {', '.join(LAWS)}") from error
+    if cell.twins or cell.world == "fence":
+        what = f"--intruder {cell.intruder}" if cell.twins else "--world fence"
+        raise ConfigError(f"--law {cell.law} cannot be combined with {what}; allowed: {', '.join(LAWS)}")
+    return LAWS["dmuca"], peer
+
+
+def _settings(
+    own: kernels.Settings, avoids: bool, peer: tuple[peers.Peer, peers.Parameters] | None
+) -> list[float]:
+    """The row of one aircraft in the table of settings of `flight.fly`."""
+    if peer is None:
+        return list(own if avoids else own._replace(law=kernels.NONE))
+    _, parameters = peer
+    row = [*own._replace(law=kernels.NONE), 1.0 if avoids else 0.0, *parameters]
+    if isinstance(parameters, peers.Orca):
+        row[kernels.Settings._fields.index("growth")] = parameters.growth
+    assert len(row) > common.FIRST
+    return row
 
 
 def _row(seed: int, result: Floats, pairs: Floats, flagged: list[list[int]]) -> Row:

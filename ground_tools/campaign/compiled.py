@@ -23,7 +23,7 @@ SOURCES = (
 )
 """Source files whose functions and constants are compiled into functions of other files."""
 _STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False, "cache": True}
 
 
 class _CacheWithMemory(LoadingCache):
@@ -48,8 +48,8 @@ def compiled(**options: Any) -> Callable[[Function], Function]:
         held = vars(config)["CACHE_DIR"]
         vars(config)["CACHE_DIR"] = str(Path(__file__).parent / "__pycache__" / _STATE)
         try:
-            made: Any = njit(cache=True, **(_OPTIONS | options))(function)
-            if hasattr(made, "_cache"):
+            made: Any = njit(**(_OPTIONS | options))(function)
+            if options.get("cache", True) and hasattr(made, "_cache"):
                 made._cache = _CacheWithMemory(function)
             return cast(Function, made)
         finally:
