@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -23,8 +23,8 @@ from companion.errors import ConfigError
 from ground_tools.campaign import flight, outcome, powers, vehicles
 from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.generators import draw
-from ground_tools.campaign.peers import common
 from ground_tools.campaign.peers import laws as peers
+from ground_tools.campaign.peers.orca import Orca
 from ground_tools.campaign.world import World
 from ground_tools.common.kept_lines import Kept
 from ground_tools.results import sources
@@ -55,6 +55,8 @@ FLIGHT = "ground_tools.campaign.flight"
 """Module that flies an encounter."""
 TWINS = "ground_tools.campaign.twins"
 """Module that flies an encounter in which two aircraft send one identity."""
+PEERS = "ground_tools.campaign.peers.laws"
+"""Module that names the laws of others."""
 ENCOUNTERS = ("ground_tools.campaign.generators", "companion.avoidance.trajectory")
 """Modules that draw an encounter."""
 CREWED_MPS = 50.0
@@ -149,6 +151,18 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
 
 
 @dataclass(frozen=True, slots=True)
+class Flown:
+    """What the name of a law means."""
+
+    avoidance: AvoidanceConfig
+    """Configuration of the companion's law, which a peer shares as far as it applies."""
+    peer: tuple[peers.Peer, peers.Parameters] | None = None
+    """The law that flies instead of the companion's."""
+    changed: dict[str, float] = field(default_factory=dict)
+    """Numbers of the companion's law that are changed, by field of `kernels.Settings`."""
+
+
+@dataclass(frozen=True, slots=True)
 class Look:
     """Complete record of one flight."""
 
@@ -190,7 +204,8 @@ def look(cell: Cell, seed: int) -> Look:
 
 
 def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
-    avoidance, peer = law_of(cell)
+    flown = flown_by(cell)
+    avoidance = flown.avoidance
     try:
         times, points = draw(cell.generator, cell.aircraft, cell.speed_mps, seed)
     except ValueError as error:
@@ -204,7 +219,7 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
     settings = np.array(
         [
-            _settings(settings_of(avoidance, own, path), kind == vehicles.AVOIDS, peer)
+            _settings(settings_of(avoidance, own, path), kind == vehicles.AVOIDS, flown)
             for own, path, kind in zip(limits, paths, kinds.tolist(), strict=True)
         ]
     )
@@ -235,44 +250,45 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     else:
         flight.fly(
             rng, conditions, times, points, fence, settings, kinds, trace, log, pairs, result, measured,
-            power_rng, None if peer is None else peer[0].loop,
+            power_rng, None if flown.peer is None else flown.peer[0].loop,
         )  # fmt: skip
     flagged = np.argwhere(measured.suspicion[:, :, powers.S_FLAGGED] != 0.0).tolist()
     found = _row(seed, result, pairs[np.tril_indices(n, -1)], flagged)
     return Look(found, world, avoidance, tuple(limits), fence, times, points, kinds, trace, log)
 
 
-def law_of(cell: Cell) -> tuple[AvoidanceConfig, tuple[peers.Peer, peers.Parameters] | None]:
-    """The configuration of the companion's law, and the peer that flies instead of it.
+def flown_by(cell: Cell) -> Flown:
+    """What the law of a cell means.
 
     Raises:
         ConfigError: there is no such law, or it cannot fly this cell.
     """
-    for name, avoidance in LAWS.items():
-        if name == cell.law:
-            return avoidance, None
+    name = cell.law.partition(":")[0]
+    known = {law: avoidance for law, avoidance in LAWS.items() if law == cell.law}
     try:
-        peer = peers.of(cell.law)
+        if known:
+            return Flown(known.popitem()[1])
+        if name == "dmuca":
+            flown = Flown(LAWS["dmuca"], changed=peers.varied(cell.law))
+        else:
+            flown = Flown(LAWS["dmuca"], peer=peers.of(cell.law))
     except ValueError as error:
-        raise ConfigError(f"--law: {error}, {', '.join(LAWS)}") from error
-    if cell.twins or cell.world == "fence":
+        raise ConfigError(f"--law: {error}") from error
+    if cell.twins or (cell.world == "fence" and flown.peer is not None):
         what = f"--intruder {cell.intruder}" if cell.twins else "--world fence"
         raise ConfigError(f"--law {cell.law} cannot be combined with {what}; allowed: {', '.join(LAWS)}")
-    return LAWS["dmuca"], peer
+    return flown
 
 
-def _settings(
-    own: kernels.Settings, avoids: bool, peer: tuple[peers.Peer, peers.Parameters] | None
-) -> list[float]:
+def _settings(own: kernels.Settings, avoids: bool, flown: Flown) -> list[float]:
     """The row of one aircraft in the table of settings of `flight.fly`."""
-    if peer is None:
+    own = own._replace(**flown.changed)
+    if flown.peer is None:
         return list(own if avoids else own._replace(law=kernels.NONE))
-    _, parameters = peer
-    row = [*own._replace(law=kernels.NONE), 1.0 if avoids else 0.0, *parameters]
-    if isinstance(parameters, peers.Orca):
-        row[kernels.Settings._fields.index("growth")] = parameters.growth
-    assert len(row) > common.FIRST
-    return row
+    _, parameters = flown.peer
+    if isinstance(parameters, Orca):
+        own = own._replace(growth=parameters.growth)
+    return [*own._replace(law=kernels.NONE), 1.0 if avoids else 0.0, *parameters]
 
 
 def _row(seed: int, result: Floats, pairs: Floats, flagged: list[list[int]]) -> Row:
@@ -354,18 +370,27 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
     header = {
         **msgspec.to_builtins(cell),
         "delay_s": list(cell.delay_s),
-        "software": software(twins=cell.twins),
+        "software": software_of([cell]),
     }
     return Kept(folder / f"{cell.name}.jsonl", header, Row, attrgetter("seed"))
 
 
-def software(*, twins: bool = False) -> str:
+def software(*, twins: bool = False, peers: bool = False) -> str:
     """Digest of the code of law, world and encounters, on which the flights depend.
 
     Args:
         twins: also that of the tracks.
+        peers: also that of the laws of `peers`.
     """
-    return sources.digest([FLIGHT, *([TWINS] if twins else []), *ENCOUNTERS])
+    also = [name for name, needed in ((TWINS, twins), (PEERS, peers)) if needed]
+    return sources.digest([FLIGHT, *also, *ENCOUNTERS])
+
+
+def software_of(cells: Iterable[Cell]) -> str:
+    """`software`, as far as the flights of these cells depend on it."""
+    cells = tuple(cells)
+    others = any(cell.law not in LAWS for cell in cells)
+    return software(twins=any(cell.twins for cell in cells), peers=others)
 
 
 def baseline(cell: Cell) -> Cell:

@@ -16,10 +16,12 @@ from companion.traffic import adsb, right_of_way, signal_strength
 from sitl_mocks.channel import parameters as channel
 
 Function = TypeVar("Function")
+_COMPILED = ("world", "vehicles", "outcome", "powers", "flight")
 SOURCES = (
     *kernels.SOURCES,
     *(Path(str(module.__file__)) for module in (law, adsb, right_of_way, signal_strength, channel)),
-    *(Path(__file__).with_name(f"{name}.py") for name in ("world", "vehicles", "outcome", "powers")),
+    *(Path(__file__).with_name(f"{name}.py") for name in _COMPILED),
+    *(Path(__file__).parent / "peers" / f"{name}.py" for name in ("common", "orca", "mvp", "fly_away")),
 )
 """Source files whose functions and constants are compiled into functions of other files."""
 _STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]

@@ -125,8 +125,8 @@ class Mind(NamedTuple):
 
 Decide = Callable[..., k.Decision]
 """A compiled decision function: from `mind`, the index of the aircraft, the number of rows of its table
-`mind.neighbours`, its `k.Own`, `k.Path` and fence, the table of settings of all aircraft, its own `k.Settings`
-and the workspace."""
+`mind.neighbours`, its `k.Own`, `k.Path` and fence, the table of settings of all aircraft, its own
+`k.Settings` and the workspace."""
 Loop = Callable[..., None]
 """A compiled function with the arguments of `loop_of` but the first, which is the law that it flies."""
 OWN_NOTES = 6
@@ -193,8 +193,8 @@ def fly(
         world: from `World.conditions`.
         path_times, path_points: shapes (A, K) and (A, K, 3): each aircraft's timed path, NED.
         fence: as in `kernels.decide`, the same for all aircraft.
-        settings: shape (A, at least the fields of `kernels.Settings`): settings of each aircraft's law. A law of
-            `peers` has its parameters in the columns after those fields.
+        settings: shape (A, at least the fields of `kernels.Settings`): settings of each aircraft's law.
+            A law of `peers` has its parameters in the columns after those fields.
         kinds: shape (A,): AVOIDS, or another kind of aircraft.
         trace: shape (steps, A, 3): true positions. Written for as many steps as it has; may be empty.
         log: written for as many decisions as it has.

@@ -1,7 +1,8 @@
 """What all laws of `peers` share, in compiled code: following the path, prediction, report and limits.
 
-In the table of settings, the law of every aircraft is `kernels.NONE`, whose decision follows the path. The column
-AVOIDS says whether the aircraft flies the law of the peer, and the columns from FIRST on are its parameters.
+In the table of settings, the law of every aircraft is `kernels.NONE`, whose decision follows the path. The
+column AVOIDS says whether the aircraft flies the law of the peer, and the columns from FIRST on are its
+parameters.
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 
 Equations and constants as in `libraries/AP_Avoidance/AP_Avoidance.cpp` and `ArduCopter/avoidance_adsb.cpp` of
 ArduPilot: an aircraft is a threat if it comes within `F_DIST_XY` and `F_DIST_Z` in the next `F_TIME` seconds.
-The threat with the least time to its closest approach is avoided, at full speed along the component of the own
-relative position perpendicular to its velocity, or straight away from it if it is slower than 1 m/s. The state
-is given up 2 s after its last change at the earliest, and the aircraft then resumes its path. Positions are those
-of the message; the time ahead is longer by its age in whole seconds.
+The threat with the least time to its closest approach is avoided, at full speed along the component of the
+own relative position perpendicular to its velocity, or straight away from it if it is slower than 1 m/s. The
+state is given up 2 s after its last change at the earliest, and the aircraft then resumes its path. Positions
+are those of the message; the time ahead is longer by its age in whole seconds.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ def nearest_level(away: k.Vector, relative: k.Vector, within_s: float) -> float:
 def nearest_above(away: k.Vector, relative: k.Vector, within_s: float) -> float:
     """`closest_approach_z`: least difference of heights (m), as ArduPilot computes it.
 
-    There the difference of heights is in centimetres and upwards, that of vertical speeds in m/s and downwards,
-    so that the speeds hardly count.
+    There the difference of heights is in centimetres and upwards, that of vertical speeds in m/s and
+    downwards, so that the speeds hardly count.
     """
     above_cm, sinks = -100.0 * away.d, relative.d
     if (above_cm >= 0.0 and sinks >= 0.0) or (above_cm <= 0.0 and sinks <= 0.0):
@@ -89,8 +89,8 @@ def nearest_above(away: k.Vector, relative: k.Vector, within_s: float) -> float:
 
 @_compiled
 def away_from(away: k.Vector, velocity: k.Vector, law: k.Settings, level: bool) -> tuple[bool, k.Vector]:
-    """`get_vector_perpendicular`, and the velocity that the copter flies. The first value is False if there is no
-    direction.
+    """`get_vector_perpendicular`, and the velocity that the copter flies. The first value is False if there
+    is no direction.
 
     Args:
         away: the other's position minus ours, m.
@@ -115,9 +115,7 @@ def away_from(away: k.Vector, velocity: k.Vector, law: k.Settings, level: bool) 
 
 
 @_compiled
-def _threat(
-    mind: Mind, count: int, own: k.Own, wanted: k.Vector, p: FlyAway, seen: Floats
-) -> int:
+def _threat(mind: Mind, count: int, own: k.Own, wanted: k.Vector, p: FlyAway, seen: Floats) -> int:
     """Row of the most serious threat, -1 if there is none. Writes the reports."""
     worst, soonest = -1, math.inf
     for row in range(count):

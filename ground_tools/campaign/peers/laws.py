@@ -1,14 +1,15 @@
 """The laws of `peers` by name, their parameters, and what a search may try.
 
 A law is named as in `--law mvp`, or with some of its parameters as in `--law mvp:radius_m=16,look_s=30`; the
-others are those of `Peer.best`.
+others are those of `Peer.best`. Some numbers of the companion's own law can be changed in the same way
+(`VARIED`), as in `--law dmuca:growth=0.5`, to measure what they are worth.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, cast
 
@@ -23,7 +24,14 @@ CANDIDATES: Final = 24
 """Budget of a search: candidates of each law that is searched."""
 _PERIOD_S: Final = 0.2
 """Time step of RVO2-3D in the campaign: the time between two decisions."""
+_LEAST: Final = 1e-3
 _MOST: Final = 1e4
+
+VARIED: Final = (
+    "radius_m", "sigmas", "quantum_mps", "growth", "horizon_s", "overlap_s", "look_s", "right_rad",
+    "acceleration_mps2", "recovery_s",
+)  # fmt: skip
+"""Fields of `kernels.Settings` that `--law dmuca:...` may change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +94,10 @@ PEERS: Final[dict[str, Peer]] = {
         cast(Loop, mvp.fly),
         Mvp(radius_m=16.0, height_m=16.0, look_s=30.0, level=0.0, margin=1.01, head_on_m=10.0, predicted=1.0),
         grid={
-            "radius_m": (10.0, 13.0, 16.0, 20.0),
-            "look_s": (15.0, 30.0, 60.0),
+            "radius_m": (12.0, 16.0, 20.0),
+            "look_s": (15.0, 30.0),
             "level": (0.0, 1.0),
+            "head_on_m": (1.0, 10.0),
         },
         main="radius_m",
         values=(10.0, 13.0, 16.0, 20.0, 25.0, 30.0),
@@ -98,9 +107,10 @@ PEERS: Final[dict[str, Peer]] = {
         cast(Loop, fly_away.fly),
         FlyAway(f_dist_xy_m=15.0, f_dist_z_m=15.0, f_time_s=10.0, level=0.0, predicted=0.0),
         grid={
-            "f_dist_xy_m": (10.0, 15.0, 20.0, 30.0),
-            "f_time_s": (5.0, 10.0, 20.0),
+            "f_dist_xy_m": (10.0, 15.0, 20.0),
+            "f_time_s": (5.0, 10.0),
             "level": (0.0, 1.0),
+            "predicted": (0.0, 1.0),
         },
         main="f_dist_xy_m",
         values=(8.0, 10.0, 15.0, 20.0, 25.0, 30.0),
@@ -118,13 +128,17 @@ def of(text: str) -> tuple[Peer, Parameters]:
     if name not in PEERS:
         raise ValueError(f"{name} is unknown; allowed: {', '.join(PEERS)}")
     peer = PEERS[name]
-    known = peer.best._asdict()
-    for part in given.split(",") if given else ():
-        key, _, value = part.partition("=")
-        if key not in known:
-            raise ValueError(f"{name}: parameter {key!r} is unknown; allowed: {', '.join(known)}")
-        known[key] = _number(name, key, value)
-    return peer, type(peer.best)(**known)
+    return peer, peer.best._replace(**_given(name, given, peer.best._fields))
+
+
+def varied(text: str) -> dict[str, float]:
+    """The numbers that a text such as "dmuca:growth=0.5" changes of the companion's own law.
+
+    Raises:
+        ValueError: a number is not known, or a value is not allowed.
+    """
+    name, _, given = text.partition(":")
+    return _given(name, given, VARIED)
 
 
 def text_of(name: str, parameters: Parameters) -> str:
@@ -134,16 +148,25 @@ def text_of(name: str, parameters: Parameters) -> str:
     return name + (":" + ",".join(other) if other else "")
 
 
+def _given(name: str, given: str, known: Sequence[str]) -> dict[str, float]:
+    found = {}
+    for part in given.split(",") if given else ():
+        key, _, value = part.partition("=")
+        if key not in known:
+            raise ValueError(f"{name}: parameter {key!r} is unknown; allowed: {', '.join(known)}")
+        found[key] = _number(name, key, value)
+    return found
+
+
 def _number(name: str, key: str, text: str) -> float:
-    switch = not key.endswith(("_m", "_s", "margin"))
+    switch = key in ("predicted", "own_volume", "level") or (key == "growth" and name in PEERS)
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if switch and value not in (0.0, 1.0):
         raise ValueError(f"{name}: {key}={text} is not allowed; allowed: 0 or 1")
-    if not 0.0 <= value <= _MOST or (not switch and value == 0.0):
-        raise ValueError(f"{name}: {key}={text} is not allowed; allowed: above 0, at most {_MOST:g}")
+    least = 0.0 if switch or key in ("sigmas", "quantum_mps", "growth", "right_rad") else _LEAST
+    if not least <= value <= _MOST:
+        raise ValueError(f"{name}: {key}={text} is not allowed; allowed: {least:g} to {_MOST:g}")
     return value
-
-

@@ -2,11 +2,11 @@
 
 J. M. Hoekstra, R. N. H. W. van Gent, R. C. J. Ruigrok, "Designing for safety: the free flight air traffic
 management concept" (2002); equations as in BlueSky 22fdf9e: state-based detection
-(`traffic/asas/statebased.py`), resolution (`mvp.py`, without priorities) and the rule for going back to the path
-(`resolution.py`). A conflict pair is resolved by a velocity change along the vector of least distance. It is
-computed once a second; the aircraft flies the result until it has passed all aircraft that it was in conflict
-with. Lengths are scaled from airliners to small aircraft by the parameters. Numbers that would divide by zero
-are bounded by _TINY.
+(`traffic/asas/statebased.py`), resolution (`mvp.py`, without priorities) and the rule for going back to the
+path (`resolution.py`). A conflict pair is resolved by a velocity change along the vector of least distance.
+It is computed once a second; the aircraft flies the result until it has passed all aircraft that it was in
+conflict with. Lengths are scaled from airliners to small aircraft by the parameters. Numbers that would
+divide by zero are bounded by _TINY.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _EVERY_S: Final = 1.0
 """Time between two resolutions; BlueSky's default."""
 _BOUNCING_RAD: Final = math.radians(30.0)
 # What an aircraft remembers of its own in `Mind.notes`, after an entry of each other aircraft (1: it is in
-# conflict with this one, or has not passed it yet): 1 after the first resolution, the time of the last one, 1 if
-# it flies a resolution, and the velocity of that.
+# conflict with this one, or has not passed it yet): 1 after the first resolution, the time of the last one, 1
+# if it flies a resolution, and the velocity of that.
 _BEGUN, _TIME, _ACTIVE, _VELOCITY = 0, 1, 2, 3
 
 
@@ -145,9 +145,7 @@ def passed(away: k.Vector, relative: k.Vector, own: k.Vector, other: k.Vector, p
 
 
 @_compiled
-def _resolve(
-    mind: Mind, i: int, count: int, own: k.Own, wanted: k.Vector, p: Mvp, law: k.Settings
-) -> None:
+def _resolve(mind: Mind, i: int, count: int, own: k.Own, wanted: k.Vector, p: Mvp, law: k.Settings) -> None:
     """Compute a new resolution of aircraft i and write it to its notes."""
     own_notes, pairs = mind.notes[i, len(mind.notes) :], mind.notes[i]
     v = own.velocity

@@ -1,10 +1,11 @@
 """ORCA in three dimensions as published, or with other radii, in compiled code.
 
-J. van den Berg, S. J. Guy, M. Lin, D. Manocha, "Reciprocal n-body collision avoidance" (2011). Half-spaces and
-linear programs are the companion's kernels, which agree with the authors' library RVO2-3D on its own cases
-(`ground-tools orca-check`), and which also define the direction in an exact head-on encounter, in which that
-library has none. Everything else is as published: planes around the own velocity of now, a responsibility of
-one half, a constant radius, no turn to the right, no margin and no limit on what one neighbour may demand.
+J. van den Berg, S. J. Guy, M. Lin, D. Manocha, "Reciprocal n-body collision avoidance" (2011). Half-spaces
+and linear programs are the companion's kernels, which agree with the authors' library RVO2-3D on its own
+cases (`ground-tools orca check`), and which also define the direction in an exact head-on encounter, in which
+that library has none. Everything else is as published: planes around the own velocity of now, a
+responsibility of one half, a constant radius, no turn to the right, no margin and no limit on what one
+neighbour may demand.
 """
 
 from __future__ import annotations
@@ -56,9 +57,7 @@ def parameters(settings: Floats, i: int) -> Orca:
 
 
 @_compiled
-def plane(
-    away: k.Vector, velocity: k.Vector, own: k.Vector, volume: Volume, overlap_s: float
-) -> k.Plane:
+def plane(away: k.Vector, velocity: k.Vector, own: k.Vector, volume: Volume, overlap_s: float) -> k.Plane:
     """The half-space of allowed velocities for one neighbour.
 
     Args:
