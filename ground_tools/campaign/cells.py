@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -23,8 +23,9 @@ from companion.errors import ConfigError
 from ground_tools.campaign import flight, outcome, powers, vehicles
 from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.generators import draw
-from ground_tools.campaign.peers import laws as peers
-from ground_tools.campaign.peers.orca import Orca
+from ground_tools.campaign.peers import flown
+from ground_tools.campaign.peers.flown import Flown
+from ground_tools.campaign.scenarios import layouts, missions
 from ground_tools.campaign.world import World
 from ground_tools.common.kept_lines import Kept
 from ground_tools.results import sources
@@ -51,6 +52,8 @@ WORLDS = {
     "fence": World(),
     "all": World(gust_mps2=0.6, clock_s=0.5, own_sigma_mps=0.3, floor_m=70.0, ceiling_m=130.0),
 }
+KINDS = vehicles.INTRUDERS | vehicles.TWINS | dict.fromkeys(missions.MISSIONS, vehicles.BLIND)
+"""Kind of an aircraft for each word for intruders."""
 FLIGHT = "ground_tools.campaign.flight"
 """Module that flies an encounter."""
 TWINS = "ground_tools.campaign.twins"
@@ -59,6 +62,8 @@ PEERS = "ground_tools.campaign.peers.laws"
 """Module that names the laws of others."""
 ENCOUNTERS = ("ground_tools.campaign.generators", "companion.avoidance.trajectory")
 """Modules that draw an encounter."""
+SCENARIOS = ("ground_tools.campaign.scenarios.layouts", "ground_tools.campaign.scenarios.missions")
+"""Modules that draw scenarios and the paths of intruders on missions."""
 CREWED_MPS = 50.0
 FENCE_ASIDE_M = 20.0
 _FAR_M = 1e4
@@ -81,7 +86,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     intruders: Annotated[float, Meta(ge=0, le=1)] = 0.0
     """Share of the aircraft that do not avoid. They have the lowest indices."""
     intruder: str = "blind"
-    """Kind of those aircraft, a key of `vehicles.INTRUDERS` or `vehicles.TWINS`."""
+    """Kind of those aircraft, a key of `KINDS`."""
     world: str = "calm"
     """A key of `WORLDS`."""
     reserve: bool = True
@@ -95,6 +100,11 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     def twins(self) -> bool:
         """Whether two aircraft send the same identity."""
         return self.intruder in vehicles.TWINS and self.intruders > 0.0
+
+    @property
+    def on_missions(self) -> bool:
+        """Whether the intruders fly missions."""
+        return self.intruder in missions.MISSIONS and self.intruders > 0.0
 
     @property
     def name(self) -> str:
@@ -151,18 +161,6 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
-    """What the name of a law means."""
-
-    avoidance: AvoidanceConfig
-    """Configuration of the companion's law, which a peer shares as far as it applies."""
-    peer: tuple[peers.Peer, peers.Parameters] | None = None
-    """The law that flies instead of the companion's."""
-    changed: dict[str, float] = field(default_factory=dict)
-    """Numbers of the companion's law that are changed, by field of `kernels.Settings`."""
-
-
-@dataclass(frozen=True, slots=True)
 class Look:
     """Complete record of one flight."""
 
@@ -181,7 +179,7 @@ class Look:
     """(A,): `vehicles.AVOIDS`, or another kind of aircraft."""
     trace: Floats
     """(steps, A, 3): true positions at the end of each step."""
-    log: flight.Log
+    log: outcome.Log
     """Every decision of every aircraft."""
 
 
@@ -204,14 +202,13 @@ def look(cell: Cell, seed: int) -> Look:
 
 
 def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
-    flown = flown_by(cell)
-    avoidance = flown.avoidance
-    try:
-        times, points = draw(cell.generator, cell.aircraft, cell.speed_mps, seed)
-    except ValueError as error:
-        raise ConfigError(f"seed {seed}: {error}") from error
+    law_flown = flown_by(cell)
+    avoidance = law_flown.avoidance
     kinds = np.full(cell.aircraft, float(vehicles.AVOIDS))
-    kinds[: round(cell.intruders * cell.aircraft)] = (vehicles.INTRUDERS | vehicles.TWINS)[cell.intruder]
+    kinds[: round(cell.intruders * cell.aircraft)] = KINDS[cell.intruder]
+    times, points = _drawn(cell, seed)
+    if cell.on_missions:
+        times, points = missions.flown(cell.intruder, times, points, kinds != vehicles.AVOIDS, seed)
     crewed = (kinds == vehicles.CREWED) | (kinds == vehicles.BAROMETRIC)
     if crewed.any():
         points[crewed] = _crewed_ways(times, points, crewed, seed)
@@ -219,7 +216,7 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
     settings = np.array(
         [
-            _settings(settings_of(avoidance, own, path), kind == vehicles.AVOIDS, flown)
+            law_flown.settings(settings_of(avoidance, own, path), kind == vehicles.AVOIDS)
             for own, path, kind in zip(limits, paths, kinds.tolist(), strict=True)
         ]
     )
@@ -237,7 +234,7 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     n, conditions = cell.aircraft, world.conditions(avoidance.period_s)
     steps = round((world.end_s - world.start_s) / world.step_s) if looked else 0
     decisions = math.ceil(steps / conditions.period)
-    trace, log = np.zeros((steps, n, 3)), flight.new_log(n, decisions)
+    trace, log = np.zeros((steps, n, 3)), outcome.new_log(n, decisions)
     pairs, result = np.zeros((n, n, outcome.PAIR_ENTRIES)), np.zeros(outcome.FLIGHT_ENTRIES)
     rng, power_rng = np.random.default_rng([seed, 7]), np.random.default_rng([seed, 9])
     measured = powers.unmeasured(power_rng, conditions, n)
@@ -250,11 +247,24 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     else:
         flight.fly(
             rng, conditions, times, points, fence, settings, kinds, trace, log, pairs, result, measured,
-            power_rng, None if flown.peer is None else flown.peer[0].loop,
+            power_rng, None if law_flown.peer is None else law_flown.peer[0].loop,
         )  # fmt: skip
     flagged = np.argwhere(measured.suspicion[:, :, powers.S_FLAGGED] != 0.0).tolist()
     found = _row(seed, result, pairs[np.tril_indices(n, -1)], flagged)
     return Look(found, world, avoidance, tuple(limits), fence, times, points, kinds, trace, log)
+
+
+def _drawn(cell: Cell, seed: int) -> tuple[Floats, Floats]:
+    """The paths that the generator or scenario of a cell draws.
+
+    Raises:
+        ConfigError: it cannot draw them.
+    """
+    drawing = layouts.draw if cell.generator in layouts.SCENARIOS else draw
+    try:
+        return drawing(cell.generator, cell.aircraft, cell.speed_mps, seed)
+    except ValueError as error:
+        raise ConfigError(f"seed {seed}: {error}") from error
 
 
 def flown_by(cell: Cell) -> Flown:
@@ -263,32 +273,11 @@ def flown_by(cell: Cell) -> Flown:
     Raises:
         ConfigError: there is no such law, or it cannot fly this cell.
     """
-    name = cell.law.partition(":")[0]
-    known = {law: avoidance for law, avoidance in LAWS.items() if law == cell.law}
-    try:
-        if known:
-            return Flown(known.popitem()[1])
-        if name == "dmuca":
-            flown = Flown(LAWS["dmuca"], changed=peers.varied(cell.law))
-        else:
-            flown = Flown(LAWS["dmuca"], peer=peers.of(cell.law))
-    except ValueError as error:
-        raise ConfigError(f"--law: {error}") from error
-    if cell.twins or (cell.world == "fence" and flown.peer is not None):
+    found = flown.flown_by(cell.law, {**LAWS})
+    if cell.law not in LAWS and (cell.twins or (cell.world == "fence" and found.peer is not None)):
         what = f"--intruder {cell.intruder}" if cell.twins else "--world fence"
         raise ConfigError(f"--law {cell.law} cannot be combined with {what}; allowed: {', '.join(LAWS)}")
-    return flown
-
-
-def _settings(own: kernels.Settings, avoids: bool, flown: Flown) -> list[float]:
-    """The row of one aircraft in the table of settings of `flight.fly`."""
-    own = own._replace(**flown.changed)
-    if flown.peer is None:
-        return list(own if avoids else own._replace(law=kernels.NONE))
-    _, parameters = flown.peer
-    if isinstance(parameters, Orca):
-        own = own._replace(growth=parameters.growth)
-    return [*own._replace(law=kernels.NONE), 1.0 if avoids else 0.0, *parameters]
+    return found
 
 
 def _row(seed: int, result: Floats, pairs: Floats, flagged: list[list[int]]) -> Row:
@@ -308,6 +297,8 @@ def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
     speed = cell.speed_mps
     if kind in (vehicles.CREWED, vehicles.BAROMETRIC):
         speed = CREWED_MPS
+    elif cell.on_missions and kind != vehicles.AVOIDS:
+        speed = path.max_speed() / _RESERVE
     elif not cell.reserve:
         speed = path.max_speed()
     elif cell.generator == "mixed":
@@ -375,22 +366,30 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
     return Kept(folder / f"{cell.name}.jsonl", header, Row, attrgetter("seed"))
 
 
-def software(*, twins: bool = False, peers: bool = False) -> str:
+def software(*, twins: bool = False, peers: bool = False, scenarios: bool = False) -> str:
     """Digest of the code of law, world and encounters, on which the flights depend.
 
     Args:
         twins: also that of the tracks.
         peers: also that of the laws of `peers`.
+        scenarios: also that of missions and scenarios.
     """
-    also = [name for name, needed in ((TWINS, twins), (PEERS, peers)) if needed]
+    also = [
+        *([TWINS] if twins else []),
+        *([PEERS] if peers else []),
+        *(SCENARIOS if scenarios else []),
+    ]
     return sources.digest([FLIGHT, *also, *ENCOUNTERS])
 
 
 def software_of(cells: Iterable[Cell]) -> str:
     """`software`, as far as the flights of these cells depend on it."""
     cells = tuple(cells)
-    others = any(cell.law not in LAWS for cell in cells)
-    return software(twins=any(cell.twins for cell in cells), peers=others)
+    return software(
+        twins=any(cell.twins for cell in cells),
+        peers=any(cell.law not in LAWS for cell in cells),
+        scenarios=any(cell.on_missions or cell.generator in layouts.SCENARIOS for cell in cells),
+    )
 
 
 def baseline(cell: Cell) -> Cell:
@@ -399,7 +398,8 @@ def baseline(cell: Cell) -> Cell:
     Delays and losses are reset, and so are intruders that merely fly their path: without avoidance they make
     no difference, and equal baselines are flown only once.
     """
-    turning = cell.intruder in ("turning", "frozen", "crewed", "barometric") and cell.intruders > 0.0
+    others = ("turning", "frozen", "crewed", "barometric", *missions.MISSIONS)
+    turning = cell.intruder in others and cell.intruders > 0.0
     return msgspec.structs.replace(
         cell,
         law="none",
@@ -414,7 +414,7 @@ def baseline(cell: Cell) -> Cell:
 
 def duration_s(cell: Cell) -> float:
     """Duration of one flight of a cell."""
-    times, _ = draw(cell.generator, cell.aircraft, cell.speed_mps, 1)
+    times, _ = _drawn(cell, 1)
     return float(times.max() - times.min())
 
 

@@ -22,7 +22,7 @@ from ground_tools.campaign.generators import NAMES
 from ground_tools.campaign.peers import command as peers
 from ground_tools.campaign.peers.laws import PEERS
 from ground_tools.campaign.runs import add_common, fly_missing, summary, work_of
-from ground_tools.campaign.vehicles import INTRUDERS, TWINS
+from ground_tools.campaign.scenarios.layouts import SCENARIOS
 from ground_tools.common.progress import progress
 from ground_tools.common.run_options import processes_of, seeds_of
 from ground_tools.common.workers import in_parallel
@@ -30,7 +30,6 @@ from ground_tools.common.workers import in_parallel
 _MOST_AIRCRAFT = 200
 _MOST_WORST = 1000
 _LAW_EXAMPLE = "mvp:radius_m=16,look_s=30"
-_INTRUDERS = (*INTRUDERS, *TWINS)
 _FENCES_AT_ONCE = 20
 
 
@@ -80,8 +79,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_run(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--generator", required=True, choices=NAMES, metavar="NAME",
-                         help=f"kind of encounter: {', '.join(NAMES)}")  # fmt: skip
+    names = (*NAMES, *SCENARIOS)
+    command.add_argument("--generator", required=True, choices=names, metavar="NAME",
+                         help=f"kind of encounter: {', '.join(names)}")  # fmt: skip
     command.add_argument(
         "--aircraft", type=int, default=5, metavar="N", help="number of aircraft (default: 5)"
     )
@@ -101,8 +101,8 @@ def _add_run(command: argparse.ArgumentParser) -> None:
                          help="share of messages that are lost, 0 to 1 (default: 0)")  # fmt: skip
     command.add_argument("--intruders", type=float, default=0.0, metavar="SHARE",
                          help="share of aircraft that are intruders, 0 to 1 (default: 0)")  # fmt: skip
-    command.add_argument("--intruder", choices=_INTRUDERS, default="blind", metavar="KIND",
-                         help=f"kind of intruder: {', '.join(_INTRUDERS)} (default: blind)")  # fmt: skip
+    command.add_argument("--intruder", choices=campaign.KINDS, default="blind", metavar="KIND",
+                         help=f"kind of intruder: {', '.join(campaign.KINDS)} (default: blind)")  # fmt: skip
     command.add_argument("--world", choices=campaign.WORLDS, default="calm", metavar="NAME",
                          help=f"conditions: {', '.join(campaign.WORLDS)} (default: calm)")  # fmt: skip
     command.add_argument("--rate", type=int, default=1, metavar="N",

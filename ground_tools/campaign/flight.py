@@ -19,7 +19,16 @@ from companion.traffic import adsb
 from companion.traffic.right_of_way import CREWED as CREWED_RANK
 from companion.traffic.right_of_way import FREE, share_of
 from ground_tools.campaign.compiled import compiled
-from ground_tools.campaign.outcome import P_ALERT, Tally, count_decision, land, measure, nothing_yet
+from ground_tools.campaign.outcome import (
+    P_ALERT,
+    Log,
+    Tally,
+    count_decision,
+    land,
+    measure,
+    nothing_yet,
+    write_down,
+)
 from ground_tools.campaign.powers import (
     S_BESIDE,
     S_EAST,
@@ -56,36 +65,6 @@ _BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S = 15.0, 5.0
 _FIT_AGAIN_S = 4.0
 """Time from the return of GNSS to the next command: the companion waits for a steady state and then takes
 control of the vehicle again."""
-
-
-class Log(NamedTuple):
-    """Record of D decisions of each of A aircraft; NED, m and m/s. It may be shorter than the flight."""
-
-    time_s: Floats
-    """(D, A)."""
-    position: Floats
-    """(D, A, 3): own position, as the aircraft knows it; likewise the velocity."""
-    velocity: Floats
-    """(D, A, 3)."""
-    wanted: Floats
-    """(D, A, 3)."""
-    flown: Floats
-    """(D, A, 3): velocity flown, which for an aircraft that avoids is the command."""
-    feasible: Floats
-    """(D, A): 0 or 1; likewise the next two."""
-    conflict: Floats
-    """(D, A)."""
-    recovering: Floats
-    """(D, A)."""
-    late_s: Floats
-    """(D, A): delay of the path."""
-    message_s: Floats
-    """(D, A, A): when the message was sent that the decision knew of each other aircraft; NaN: none. On the
-    diagonal: that of the aircraft's own latest message."""
-    others: Floats
-    """(D, A, A, columns of `kernels.Other`): that message; on the diagonal only position and velocity."""
-    views: Floats
-    """(D, A, A, columns of `kernels.Seen`): what the decision said of each other aircraft."""
 
 
 class Mind(NamedTuple):
@@ -130,15 +109,6 @@ Decide = Callable[..., k.Decision]
 Loop = Callable[..., None]
 """A compiled function with the arguments of `loop_of` but the first, which is the law that it flies."""
 OWN_NOTES = 6
-
-
-def new_log(fleet: int, decisions: int = 0) -> Log:
-    """A log for so many decisions of each aircraft."""
-    pairs = decisions, fleet, fleet
-    return Log(
-        *(np.zeros((decisions, fleet, *more)) for more in ((), (3,), (3,), (3,), (3,), (), (), (), ())),
-        *(np.full((*pairs, *more), math.nan) for more in ((), (k.OTHER_COLUMNS,), (k.SEEN_COLUMNS,))),
-    )
 
 
 def _new_mind(fleet: int, settings: Floats) -> Mind:
@@ -270,7 +240,10 @@ def loop_of(
                 _remember(mind, i, decision.state)
                 _command(rng, round(_TURN_S / step), tick, i, kinds, law, decision.chosen, craft, mind)
                 if tick // every < len(log.time_s):
-                    _write_down(log, tick // every, i, own, decision, count, craft, mind, work.seen)
+                    write_down(
+                        log, tick // every, i, own, decision, count, craft, mind.heard, mind.neighbours,
+                        mind.senders, work.seen,
+                    )  # fmt: skip
                 if kinds[i] == AVOIDS:
                     count_decision(tally, now, i, decision.feasible, decision.conflict)
                     if decision.conflict:
@@ -459,38 +432,3 @@ def _look(
             mind.senders[count] = j
             count += 1
     return count
-
-
-@_compiled
-def _write_down(
-    log: Log,
-    d: int,
-    i: int,
-    own: k.Own,
-    decision: k.Decision,
-    count: int,
-    craft: Fleet,
-    mind: Mind,
-    seen: Floats,
-) -> None:
-    """Record decision d of aircraft i, as it was flown."""
-    log.time_s[d, i], log.late_s[d, i] = own.now_s, decision.state.delay_s
-    log.position[d, i, 0], log.position[d, i, 1], log.position[d, i, 2] = own.position
-    log.velocity[d, i, 0], log.velocity[d, i, 1], log.velocity[d, i, 2] = own.velocity
-    log.wanted[d, i, 0], log.wanted[d, i, 1], log.wanted[d, i, 2] = decision.wanted
-    log.feasible[d, i], log.conflict[d, i] = decision.feasible, decision.conflict
-    log.recovering[d, i] = decision.recovering
-    for c in range(3):
-        log.flown[d, i, c] = craft.command[i, c]
-    log.message_s[d, i, i] = mind.heard[i, i, M_TIME]
-    for c in range(MESSAGE_COLUMNS - 1):
-        log.others[d, i, i, c] = mind.heard[i, i, 1 + c]
-    for n in range(count):
-        j = mind.senders[n]
-        if n > 0 and mind.senders[n - 1] == j:
-            continue  # the same aircraft at the place that its signal strength points to
-        log.message_s[d, i, j] = mind.heard[i, j, M_TIME]
-        for c in range(k.OTHER_COLUMNS):
-            log.others[d, i, j, c] = mind.neighbours[n, c]
-        for c in range(k.SEEN_COLUMNS):
-            log.views[d, i, j, c] = seen[n, c]

@@ -110,7 +110,8 @@ def _state() -> str:
     """The versions of all software that the rows depend on. Also compiles the flight code once, so that the
     cached result serves the other workers of the machine."""
     campaign.fly(Cell(generator="crossing", aircraft=2), [1])
-    return f"{campaign.software(twins=True, peers=True)}, numba {numba.__version__}, numpy {np.__version__}"
+    state = campaign.software(twins=True, peers=True, scenarios=True)
+    return f"{state}, numba {numba.__version__}, numpy {np.__version__}"
 
 
 def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:

@@ -19,8 +19,8 @@ import numpy as np
 from companion.arrays import Floats
 from companion.avoidance import kernels as k
 from ground_tools.campaign.compiled import compiled
-from ground_tools.campaign.flight import Log, Mind, loop_of, state_of
-from ground_tools.campaign.outcome import Tally
+from ground_tools.campaign.flight import Mind, loop_of, state_of
+from ground_tools.campaign.outcome import Log, Tally
 from ground_tools.campaign.peers.common import AVOIDS, FIRST, beside, commanded, following, report
 from ground_tools.campaign.powers import Powers
 from ground_tools.campaign.vehicles import Fleet

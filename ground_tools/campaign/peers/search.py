@@ -18,7 +18,7 @@ from ground_tools.campaign.tables import Line
 ENCOUNTERS: Final = ("S2", "head-on", "overtaking", "random")
 DELAY_S: Final = (2.0, 3.0)
 AIRCRAFT: Final = 5
-SEEDS: Final = "80001-80050"
+SEEDS: Final = "80001-80025"
 
 
 def searched() -> list[str]:

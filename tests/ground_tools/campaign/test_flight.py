@@ -36,7 +36,7 @@ def fly(times, points, world, avoidance=DMUCA, seed=1, steps=0, kinds=None):
         np.array(settings),
         kinds,
         trace,
-        flight.new_log(len(paths)),
+        outcome.new_log(len(paths)),
         np.zeros((len(paths), len(paths), outcome.PAIR_ENTRIES)),
         result,
     )
