@@ -22,6 +22,7 @@ from ground_tools.campaign.generators import NAMES
 from ground_tools.campaign.peers import command as peers
 from ground_tools.campaign.peers.laws import PEERS
 from ground_tools.campaign.runs import add_common, fly_missing, summary, work_of
+from ground_tools.campaign.scenarios import command as scenarios
 from ground_tools.campaign.scenarios.layouts import SCENARIOS
 from ground_tools.common.progress import progress
 from ground_tools.common.run_options import processes_of, seeds_of
@@ -76,6 +77,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     peers.add_arguments(command)
+    command = commands.add_parser(
+        "scenarios",
+        help="fly everyday traffic: lanes, formations, landings, merging",
+        description="Fly everyday traffic, and measure who arrives and who deviates for nothing.",
+        epilog="example: ground-tools campaign scenarios lanes-15 parking --laws dmuca orca-constant",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    scenarios.add_arguments(command)
 
 
 def _add_run(command: argparse.ArgumentParser) -> None:

@@ -15,14 +15,14 @@ from ground_tools.campaign.peers.table import DELAY_S, TURNING, separation
 from ground_tools.campaign.tables import Line
 from ground_tools.common.figure import drawn
 
-OWN: Final = ("growth", (0.0, 0.25, 0.5, 0.75, 1.0, 1.5))
+OWN: Final = ("growth", (0.0, 0.25, 0.5, 1.0, 1.5))
 """Main parameter of the companion's own law: the factor on a track's growth."""
 ENCOUNTERS: Final = (
     Cell(generator="S2", aircraft=5, delay_s=DELAY_S),
     Cell(generator="circle", aircraft=5, delay_s=DELAY_S, intruders=TURNING, intruder="turning"),
 )
 _TITLES: Final = ("S2, all avoid", "circle, 1 in 5 turns at random and avoids nobody")
-_MARKS: Final = "os^vDPX"
+_MARKS: Final = "os^vD"
 _ZERO: Final = 0.5
 """Height at which a point without a loss is drawn on the logarithmic axis, in lost flights."""
 
@@ -31,7 +31,8 @@ def laws() -> dict[str, list[str]]:
     """The variants of each law, by the law's name."""
     found = {"dmuca": [f"dmuca:{OWN[0]}={value:g}" for value in OWN[1]]}
     for name, peer in PEERS.items():
-        found[name] = [f"{name}:{peer.main}={value:g}" for value in peer.values]
+        if peer.main:
+            found[name] = [f"{name}:{peer.main}={value:g}" for value in peer.values]
     return found
 
 

@@ -10,9 +10,13 @@ import msgspec
 
 from ground_tools.campaign.cells import Cell
 from ground_tools.campaign.peers.laws import PEERS
+from ground_tools.campaign.scenarios.missions import MISSIONS
 from ground_tools.campaign.tables import Line
 
 DELAY_S: Final = (2.0, 3.0)
+MISSION_DELAY_S: Final = (1.0, 2.0)
+BRISK: Final = "dmuca:acceleration_mps2=2,recovery_s=15"
+"""The companion's law with a larger limit of acceleration and a slower return, both configurable."""
 TURNING: Final = 0.2
 """Share of aircraft that turn at random, in the encounters that have such."""
 COOPERATIVE: Final = (
@@ -53,6 +57,18 @@ def _encounters() -> tuple[Cell, ...]:
     return (*plain, turning, Cell(generator="S2", aircraft=5, delay_s=DELAY_S, loss=0.8))
 
 
+def _missions() -> tuple[Cell, ...]:
+    """One of ours crosses the path of one intruder on a mission."""
+    return tuple(
+        Cell(generator="cruise", aircraft=2, delay_s=MISSION_DELAY_S, intruders=0.5, intruder=name)
+        for name in MISSIONS
+    )
+
+
+def _hits(found: dict[str, Any]) -> str:
+    return f"{found['losses_of_separation']} / {found['collisions']} / {found['median_max_deviation_m']:.1f}"
+
+
 TABLES: Final[dict[str, Table]] = {
     "encounters": Table(
         "5 aircraft at 5 m/s, delays of 2 to 3 s; every aircraft that avoids flies the same law",
@@ -62,12 +78,21 @@ TABLES: Final[dict[str, Table]] = {
         "flights with a pair below 10 m / least separation (m) / median of each flight's largest "
         "deviation (m)",
     ),
+    "missions": Table(
+        "one aircraft that avoids and one on a mission that does not, delays of 1 to 2 s",
+        ("none", "dmuca", BRISK, "orca-growth", "orca-constant", "mvp", "fly-away"),
+        _missions(),
+        _hits,
+        "flights with a pair below 10 m / below 2 m / median of each flight's largest deviation (m)",
+    ),
 }
 
 
 def words_of(cell: Cell) -> str:
     """An encounter in words."""
     words = cell.generator
+    if cell.on_missions:
+        return cell.intruder
     if cell.intruders:
         words += f", {cell.intruders:.0%} {cell.intruder}"
     if cell.loss:
