@@ -47,7 +47,8 @@ class Peer:
     grid: dict[str, tuple[float, ...]] = field(default_factory=dict)
     """Values of the parameters that a search combines; empty: the parameters are not searched."""
     main: str = ""
-    """Parameter over which the law trades deviation for safety, and its values for a picture of that."""
+    """Parameter over which the law trades deviation for safety, and its values for a picture of that; empty:
+    it is not in the picture."""
     values: tuple[float, ...] = ()
 
     def candidates(self) -> list[Parameters]:
@@ -73,21 +74,17 @@ PEERS: Final[dict[str, Peer]] = {
             "horizon_s": (10.0, 20.0, 30.0),
         },
         main="radius_m",
-        values=(10.0, 14.0, 16.0, 18.0, 20.0, 22.0, 25.0, 28.0),
+        values=(14.0, 18.0, 20.0, 22.0, 25.0, 28.0),
     ),
     "orca-margin": Peer(
         "ORCA with the radius of the companion's own law less its growth",
         cast(Loop, orca.fly),
         Orca(radius_m=10.0, horizon_s=20.0, overlap_s=_PERIOD_S, predicted=1.0, own_volume=1.0, growth=0.0),
-        main="horizon_s",
-        values=(10.0, 20.0, 30.0),
     ),
     "orca-growth": Peer(
         "ORCA with the radius of the companion's own law",
         cast(Loop, orca.fly),
         Orca(radius_m=10.0, horizon_s=20.0, overlap_s=_PERIOD_S, predicted=1.0, own_volume=1.0, growth=1.0),
-        main="horizon_s",
-        values=(10.0, 20.0, 30.0),
     ),
     "mvp": Peer(
         "Modified Voltage Potential (BlueSky)",
@@ -100,7 +97,7 @@ PEERS: Final[dict[str, Peer]] = {
             "head_on_m": (1.0, 10.0),
         },
         main="radius_m",
-        values=(10.0, 13.0, 16.0, 20.0, 25.0, 30.0),
+        values=(12.0, 16.0, 20.0, 25.0),
     ),
     "fly-away": Peer(
         "fly away from the most serious threat (ArduPilot's AP_Avoidance)",
@@ -113,7 +110,7 @@ PEERS: Final[dict[str, Peer]] = {
             "predicted": (0.0, 1.0),
         },
         main="f_dist_xy_m",
-        values=(8.0, 10.0, 15.0, 20.0, 25.0, 30.0),
+        values=(10.0, 15.0, 20.0, 30.0),
     ),
 }
 
