@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -23,11 +23,15 @@ from companion.errors import ConfigError
 from ground_tools.campaign import flight, outcome, powers, vehicles
 from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.generators import draw
+from ground_tools.campaign.peers import flown
+from ground_tools.campaign.peers.flown import Flown
+from ground_tools.campaign.scenarios import layouts, missions
 from ground_tools.campaign.world import World
 from ground_tools.common.kept_lines import Kept
 from ground_tools.results import sources
 
 Law = Literal["dmuca", "paper", "none"]
+"""The companion's laws. A `Cell` may also be flown by one of `peers.laws.PEERS`."""
 LAWS: dict[Law, AvoidanceConfig] = {
     "dmuca": AvoidanceConfig(),
     # The paper gives no parameters; of those that were tried, these kept pairs apart most often.
@@ -48,12 +52,18 @@ WORLDS = {
     "fence": World(),
     "all": World(gust_mps2=0.6, clock_s=0.5, own_sigma_mps=0.3, floor_m=70.0, ceiling_m=130.0),
 }
+KINDS = vehicles.INTRUDERS | vehicles.TWINS | dict.fromkeys(missions.MISSIONS, vehicles.BLIND)
+"""Kind of an aircraft for each word for intruders."""
 FLIGHT = "ground_tools.campaign.flight"
 """Module that flies an encounter."""
 TWINS = "ground_tools.campaign.twins"
 """Module that flies an encounter in which two aircraft send one identity."""
+PEERS = "ground_tools.campaign.peers.laws"
+"""Module that names the laws of others."""
 ENCOUNTERS = ("ground_tools.campaign.generators", "companion.avoidance.trajectory")
 """Modules that draw an encounter."""
+SCENARIOS = ("ground_tools.campaign.scenarios.layouts", "ground_tools.campaign.scenarios.missions")
+"""Modules that draw scenarios and the paths of intruders on missions."""
 CREWED_MPS = 50.0
 FENCE_ASIDE_M = 20.0
 _FAR_M = 1e4
@@ -67,7 +77,8 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
 
     generator: str
     aircraft: int
-    law: Law = "dmuca"
+    law: str = "dmuca"
+    """A key of `LAWS`, or a peer as `peers.laws.of` reads it."""
     speed_mps: float = 5.0
     """Greatest speed of each aircraft."""
     delay_s: tuple[float, float] = (0.0, 1.0)
@@ -75,7 +86,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     intruders: Annotated[float, Meta(ge=0, le=1)] = 0.0
     """Share of the aircraft that do not avoid. They have the lowest indices."""
     intruder: str = "blind"
-    """Kind of those aircraft, a key of `vehicles.INTRUDERS` or `vehicles.TWINS`."""
+    """Kind of those aircraft, a key of `KINDS`."""
     world: str = "calm"
     """A key of `WORLDS`."""
     reserve: bool = True
@@ -91,10 +102,15 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
         return self.intruder in vehicles.TWINS and self.intruders > 0.0
 
     @property
+    def on_missions(self) -> bool:
+        """Whether the intruders fly missions."""
+        return self.intruder in missions.MISSIONS and self.intruders > 0.0
+
+    @property
     def name(self) -> str:
         """Name of the cell's file. Two cells with the same name are equal."""
         digest = hashlib.sha256(msgspec.json.encode(self)).hexdigest()[:8]
-        return f"{self.generator}-{self.aircraft}-{self.law}-{digest}"
+        return f"{self.generator}-{self.aircraft}-{self.law.partition(':')[0]}-{digest}"
 
 
 class Row(msgspec.Struct, frozen=True, array_like=True):
@@ -163,7 +179,7 @@ class Look:
     """(A,): `vehicles.AVOIDS`, or another kind of aircraft."""
     trace: Floats
     """(steps, A, 3): true positions at the end of each step."""
-    log: flight.Log
+    log: outcome.Log
     """Every decision of every aircraft."""
 
 
@@ -186,13 +202,13 @@ def look(cell: Cell, seed: int) -> Look:
 
 
 def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
-    avoidance = LAWS[cell.law]
-    try:
-        times, points = draw(cell.generator, cell.aircraft, cell.speed_mps, seed)
-    except ValueError as error:
-        raise ConfigError(f"seed {seed}: {error}") from error
+    law_flown = flown_by(cell)
+    avoidance = law_flown.avoidance
     kinds = np.full(cell.aircraft, float(vehicles.AVOIDS))
-    kinds[: round(cell.intruders * cell.aircraft)] = (vehicles.INTRUDERS | vehicles.TWINS)[cell.intruder]
+    kinds[: round(cell.intruders * cell.aircraft)] = KINDS[cell.intruder]
+    times, points = _drawn(cell, seed)
+    if cell.on_missions:
+        times, points = missions.flown(cell.intruder, times, points, kinds != vehicles.AVOIDS, seed)
     crewed = (kinds == vehicles.CREWED) | (kinds == vehicles.BAROMETRIC)
     if crewed.any():
         points[crewed] = _crewed_ways(times, points, crewed, seed)
@@ -200,10 +216,8 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
     settings = np.array(
         [
-            own if kind == vehicles.AVOIDS else own._replace(law=kernels.NONE)
-            for own, kind in zip(
-                map(settings_of, [avoidance] * len(paths), limits, paths), kinds, strict=True
-            )
+            law_flown.settings(settings_of(avoidance, own, path), kind == vehicles.AVOIDS)
+            for own, path, kind in zip(limits, paths, kinds.tolist(), strict=True)
         ]
     )
     fence = _fence_beside(points) if cell.world == "fence" else kernels.NO_WALLS
@@ -220,7 +234,7 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     n, conditions = cell.aircraft, world.conditions(avoidance.period_s)
     steps = round((world.end_s - world.start_s) / world.step_s) if looked else 0
     decisions = math.ceil(steps / conditions.period)
-    trace, log = np.zeros((steps, n, 3)), flight.new_log(n, decisions)
+    trace, log = np.zeros((steps, n, 3)), outcome.new_log(n, decisions)
     pairs, result = np.zeros((n, n, outcome.PAIR_ENTRIES)), np.zeros(outcome.FLIGHT_ENTRIES)
     rng, power_rng = np.random.default_rng([seed, 7]), np.random.default_rng([seed, 9])
     measured = powers.unmeasured(power_rng, conditions, n)
@@ -233,11 +247,37 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     else:
         flight.fly(
             rng, conditions, times, points, fence, settings, kinds, trace, log, pairs, result, measured,
-            power_rng,
+            power_rng, None if law_flown.peer is None else law_flown.peer[0].loop,
         )  # fmt: skip
     flagged = np.argwhere(measured.suspicion[:, :, powers.S_FLAGGED] != 0.0).tolist()
     found = _row(seed, result, pairs[np.tril_indices(n, -1)], flagged)
     return Look(found, world, avoidance, tuple(limits), fence, times, points, kinds, trace, log)
+
+
+def _drawn(cell: Cell, seed: int) -> tuple[Floats, Floats]:
+    """The paths that the generator or scenario of a cell draws.
+
+    Raises:
+        ConfigError: it cannot draw them.
+    """
+    drawing = layouts.draw if cell.generator in layouts.SCENARIOS else draw
+    try:
+        return drawing(cell.generator, cell.aircraft, cell.speed_mps, seed)
+    except ValueError as error:
+        raise ConfigError(f"seed {seed}: {error}") from error
+
+
+def flown_by(cell: Cell) -> Flown:
+    """What the law of a cell means.
+
+    Raises:
+        ConfigError: there is no such law, or it cannot fly this cell.
+    """
+    found = flown.flown_by(cell.law, dict(LAWS.items()))
+    if cell.law not in LAWS and (cell.twins or (cell.world == "fence" and found.peer is not None)):
+        what = f"--intruder {cell.intruder}" if cell.twins else "--world fence"
+        raise ConfigError(f"--law {cell.law} cannot be combined with {what}; allowed: {', '.join(LAWS)}")
+    return found
 
 
 def _row(seed: int, result: Floats, pairs: Floats, flagged: list[list[int]]) -> Row:
@@ -257,6 +297,8 @@ def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
     speed = cell.speed_mps
     if kind in (vehicles.CREWED, vehicles.BAROMETRIC):
         speed = CREWED_MPS
+    elif cell.on_missions and kind != vehicles.AVOIDS:
+        speed = path.max_speed() / _RESERVE
     elif not cell.reserve:
         speed = path.max_speed()
     elif cell.generator == "mixed":
@@ -319,18 +361,35 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
     header = {
         **msgspec.to_builtins(cell),
         "delay_s": list(cell.delay_s),
-        "software": software(twins=cell.twins),
+        "software": software_of([cell]),
     }
     return Kept(folder / f"{cell.name}.jsonl", header, Row, attrgetter("seed"))
 
 
-def software(*, twins: bool = False) -> str:
+def software(*, twins: bool = False, peers: bool = False, scenarios: bool = False) -> str:
     """Digest of the code of law, world and encounters, on which the flights depend.
 
     Args:
         twins: also that of the tracks.
+        peers: also that of the laws of `peers`.
+        scenarios: also that of missions and scenarios.
     """
-    return sources.digest([FLIGHT, *([TWINS] if twins else []), *ENCOUNTERS])
+    also = [
+        *([TWINS] if twins else []),
+        *([PEERS] if peers else []),
+        *(SCENARIOS if scenarios else []),
+    ]
+    return sources.digest([FLIGHT, *also, *ENCOUNTERS])
+
+
+def software_of(cells: Iterable[Cell]) -> str:
+    """`software`, as far as the flights of these cells depend on it."""
+    cells = tuple(cells)
+    return software(
+        twins=any(cell.twins for cell in cells),
+        peers=any(cell.law not in LAWS for cell in cells),
+        scenarios=any(cell.on_missions or cell.generator in layouts.SCENARIOS for cell in cells),
+    )
 
 
 def baseline(cell: Cell) -> Cell:
@@ -339,7 +398,8 @@ def baseline(cell: Cell) -> Cell:
     Delays and losses are reset, and so are intruders that merely fly their path: without avoidance they make
     no difference, and equal baselines are flown only once.
     """
-    turning = cell.intruder in ("turning", "frozen", "crewed", "barometric") and cell.intruders > 0.0
+    others = ("turning", "frozen", "crewed", "barometric", *missions.MISSIONS)
+    turning = cell.intruder in others and cell.intruders > 0.0
     return msgspec.structs.replace(
         cell,
         law="none",
@@ -354,7 +414,7 @@ def baseline(cell: Cell) -> Cell:
 
 def duration_s(cell: Cell) -> float:
     """Duration of one flight of a cell."""
-    times, _ = draw(cell.generator, cell.aircraft, cell.speed_mps, 1)
+    times, _ = _drawn(cell, 1)
     return float(times.max() - times.min())
 
 

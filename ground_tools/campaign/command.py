@@ -5,43 +5,33 @@ from __future__ import annotations
 import argparse
 import functools
 import json
-import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import numba
-import numpy as np
 from rich.console import Console
 
 from companion.errors import ConfigError
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import fences, run_folder, tables
 from ground_tools.campaign.attacks import command as attacks
-from ground_tools.campaign.cells import Cell, Row
+from ground_tools.campaign.cells import Cell
 from ground_tools.campaign.generators import NAMES
-from ground_tools.campaign.vehicles import INTRUDERS, TWINS
-from ground_tools.channel import options
-from ground_tools.common.cluster import on_ray
-from ground_tools.common.intervals import wilson
+from ground_tools.campaign.peers import command as peers
+from ground_tools.campaign.peers.laws import PEERS
+from ground_tools.campaign.runs import add_common, fly_missing, summary, work_of
+from ground_tools.campaign.scenarios import command as scenarios
+from ground_tools.campaign.scenarios.layouts import SCENARIOS
 from ground_tools.common.progress import progress
 from ground_tools.common.run_options import processes_of, seeds_of
 from ground_tools.common.workers import in_parallel
 
 _MOST_AIRCRAFT = 200
 _MOST_WORST = 1000
-_AIRCRAFT_AT_ONCE = 500
-"""Number of aircraft that a worker flies before it returns their results."""
-_INTRUDERS = (*INTRUDERS, *TWINS)
+_LAW_EXAMPLE = "mvp:radius_m=16,look_s=30"
 _FENCES_AT_ONCE = 20
-_TWINS_LONGER = 50
-"""Duration of computing a flight with twins, relative to other flights."""
-
-Part = tuple[Cell, list[int]]
-"""One unit of work for a worker: some seeds of a cell."""
-Work = Callable[[Sequence[Part]], Iterator[tuple[Part, list[Row]]]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,11 +69,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     attacks.add_arguments(command)
+    command = commands.add_parser(
+        "peers",
+        help="compare the law with those of others",
+        description="Fly the same encounters with the companion's law and with those of others.",
+        epilog="example: ground-tools campaign peers table encounters --out runs/peers",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    peers.add_arguments(command)
+    command = commands.add_parser(
+        "scenarios",
+        help="fly everyday traffic: lanes, formations, landings, merging",
+        description="Fly everyday traffic, and measure who arrives and who deviates for nothing.",
+        epilog="example: ground-tools campaign scenarios lanes-15 parking --laws dmuca orca-constant",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    scenarios.add_arguments(command)
 
 
 def _add_run(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--generator", required=True, choices=NAMES, metavar="NAME",
-                         help=f"kind of encounter: {', '.join(NAMES)}")  # fmt: skip
+    names = (*NAMES, *SCENARIOS)
+    command.add_argument("--generator", required=True, choices=names, metavar="NAME",
+                         help=f"kind of encounter: {', '.join(names)}")  # fmt: skip
     command.add_argument(
         "--aircraft", type=int, default=5, metavar="N", help="number of aircraft (default: 5)"
     )
@@ -91,9 +98,10 @@ def _add_run(command: argparse.ArgumentParser) -> None:
                          help="delay of each message, drawn from A to B seconds (default: 0 1)")  # fmt: skip
     command.add_argument(
         "--law",
-        choices=("dmuca", "paper"),
         default="dmuca",
-        help="avoidance law: ours (dmuca) or the paper's (default: dmuca)",
+        metavar="NAME",
+        help="avoidance law: ours (dmuca), the paper's (paper), none, or another one: "
+        f"{', '.join(PEERS)}; parameters of its own as in {_LAW_EXAMPLE} (default: dmuca)",
     )
     command.add_argument(
         "--speed", type=float, default=5.0, metavar="M/S", help="greatest speed (default: 5)"
@@ -102,8 +110,8 @@ def _add_run(command: argparse.ArgumentParser) -> None:
                          help="share of messages that are lost, 0 to 1 (default: 0)")  # fmt: skip
     command.add_argument("--intruders", type=float, default=0.0, metavar="SHARE",
                          help="share of aircraft that are intruders, 0 to 1 (default: 0)")  # fmt: skip
-    command.add_argument("--intruder", choices=_INTRUDERS, default="blind", metavar="KIND",
-                         help=f"kind of intruder: {', '.join(_INTRUDERS)} (default: blind)")  # fmt: skip
+    command.add_argument("--intruder", choices=campaign.KINDS, default="blind", metavar="KIND",
+                         help=f"kind of intruder: {', '.join(campaign.KINDS)} (default: blind)")  # fmt: skip
     command.add_argument("--world", choices=campaign.WORLDS, default="calm", metavar="NAME",
                          help=f"conditions: {', '.join(campaign.WORLDS)} (default: calm)")  # fmt: skip
     command.add_argument("--rate", type=int, default=1, metavar="N",
@@ -113,7 +121,7 @@ def _add_run(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--no-reserve", action="store_true", help="limit every aircraft to its planned speed"
     )
-    _add_common(command, "1-100")
+    add_common(command, "1-100")
     command.add_argument("--worst", type=int, default=0, metavar="N",
                          help="write run folders of the N encounters of least separation")  # fmt: skip
     command.add_argument(
@@ -130,7 +138,7 @@ def _add_run(command: argparse.ArgumentParser) -> None:
 def _add_table(command: argparse.ArgumentParser) -> None:
     command.add_argument("table", choices=tables.TABLES, metavar="TABLE",
                          help=f"one of {', '.join(tables.TABLES)}")  # fmt: skip
-    _add_common(command, "1-1000")
+    add_common(command, "1-1000")
     command.add_argument("--file", type=Path, metavar="FILE", help="also write the table's numbers as JSON")
     command.set_defaults(run=run_table)
 
@@ -146,25 +154,6 @@ def _add_fences(command: argparse.ArgumentParser) -> None:
     command.set_defaults(run=run_fences)
 
 
-def _add_common(command: argparse.ArgumentParser, seeds: str) -> None:
-    command.add_argument("--seeds", default=seeds, metavar="FROM-TO",
-                         help=f"range of seeds, one encounter each (default: {seeds})")  # fmt: skip
-    command.add_argument(
-        "--out",
-        type=Path,
-        metavar="FOLDER",
-        help="keep results in this folder, and do not repeat flights whose results are there",
-    )
-    command.add_argument(
-        "--processes", type=int, metavar="N", help="worker processes (default: one per core)"
-    )
-    command.add_argument(
-        "--ray",
-        metavar="ADDRESS",
-        help="fly on a Ray cluster: HOST:PORT on a machine of the cluster, ray://HOST:PORT elsewhere",
-    )
-
-
 def run(args: argparse.Namespace) -> int:
     """Run `ground-tools campaign run`. Returns 0.
 
@@ -172,15 +161,21 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
     cell, seeds = _cell(args), seeds_of(args.seeds)
+    flown = campaign.flown_by(cell)
     _check_worst(args)
     _check_combined(args, cell)
+    if args.worst and (flown.peer or flown.changed):
+        raise ConfigError(
+            f"--worst cannot be combined with --law {cell.law}: a run folder holds the configuration of a "
+            f"companion, which knows {', '.join(campaign.LAWS)}"
+        )
     words = Console(stderr=True)
     began = time.perf_counter()
     unavoided = campaign.baseline(cell)
-    found, flown = fly_missing([cell, unavoided], seeds, args.out, _work(args, words))
+    found, new = fly_missing([cell, unavoided], seeds, args.out, work_of(args, words))
     report = summary(found[cell], found[unavoided])
     report["wall_s"] = round(time.perf_counter() - began, 3)
-    report["flight_s"] = flown * campaign.duration_s(cell)
+    report["flight_s"] = new * campaign.duration_s(cell)
     report |= campaign.flagged(cell, found[cell])
     worst = sorted(found[cell], key=attrgetter("separation_m"))[: args.worst]
     report["worst"] = []
@@ -206,7 +201,7 @@ def run_table(args: argparse.Namespace) -> int:
     """
     seeds, wanted = seeds_of(args.seeds), tables.TABLES[args.table]()
     with_unavoided = dict.fromkeys(c for cell in wanted for c in (cell, campaign.baseline(cell)))
-    found, _ = fly_missing(list(with_unavoided), seeds, args.out, _work(args, Console(stderr=True)))
+    found, _ = fly_missing(list(with_unavoided), seeds, args.out, work_of(args, Console(stderr=True)))
     lines = [
         tables.Line(
             cell=cell, found=summary(found[cell], found[campaign.baseline(cell)]), first=found[cell][0]
@@ -215,7 +210,7 @@ def run_table(args: argparse.Namespace) -> int:
     ]
     if args.file is not None:
         ends = (seeds[0], seeds[-1])
-        state = campaign.software(twins=any(cell.twins for cell in wanted))
+        state = campaign.software_of(wanted)
         tables.write(args.file, tables.Kept(software=state, seeds=ends, lines=tuple(lines)))
     print(tables.markdown(lines), end="")
     return 0
@@ -242,113 +237,6 @@ def run_fences(args: argparse.Namespace) -> int:
 
 def _fly_fences(seeds: Sequence[int], *, noisy: bool, outside: bool) -> list[fences.Row]:
     return [fences.fly(seed, noisy=noisy, outside=outside) for seed in seeds]
-
-
-def fly_missing(
-    wanted: Sequence[Cell], seeds: Sequence[int], folder: Path | None, work: Work
-) -> tuple[dict[Cell, list[Row]], int]:
-    """Fly the missing rows of every cell. Returns all rows, in the order of the seeds, and the number flown.
-
-    Args:
-        folder: folder in which rows are stored and looked up; None: rows are not stored.
-        work: function that flies the units of work.
-
-    Raises:
-        ConfigError: a file cannot be read or written, or an encounter cannot be drawn.
-    """
-    rows: dict[Cell, dict[int, Row]] = {cell: {} for cell in wanted}
-    files = {}
-    if folder is not None:
-        options.make_folder(folder)
-        files = {cell: campaign.kept(folder, cell) for cell in wanted}
-        rows = {cell: dict(file.rows) for cell, file in files.items()}
-    parts: list[Part] = []
-    for cell in wanted:
-        missing = [seed for seed in seeds if seed not in rows[cell]]
-        size = max(1, _AIRCRAFT_AT_ONCE // cell.aircraft // (_TWINS_LONGER if cell.twins else 1))
-        parts += [(cell, missing[at : at + size]) for at in range(0, len(missing), size)]
-    with progress("flights", len(parts)) as advance:
-        for (cell, _), found in work(parts):
-            if cell in files:
-                files[cell].add(found)
-            rows[cell].update((row.seed, row) for row in found)
-            advance()
-    flown = sum(len(missing) for _, missing in parts)
-    return {cell: [rows[cell][seed] for seed in seeds] for cell in wanted}, flown
-
-
-def _work(args: argparse.Namespace, words: Console) -> Work:
-    """The function that flies: with processes of this machine or on a cluster."""
-    if args.ray is None:
-        processes = processes_of(args.processes)
-
-        def here(parts: Sequence[Part]) -> Iterator[tuple[Part, list[Row]]]:
-            for cell, seeds in parts[:1]:
-                campaign.fly(cell, seeds[:1])  # compiles once, for all workers
-            return in_parallel(_fly, parts, processes, words)
-
-        return here
-    if args.processes is not None:
-        raise ConfigError("--processes cannot be combined with --ray, which uses all CPUs of the cluster")
-    return lambda parts: on_ray(_fly, parts, args.ray, _state, words)
-
-
-def _fly(part: Part) -> list[Row]:
-    return campaign.fly(*part)
-
-
-def _state() -> str:
-    """The versions of all software that the rows depend on. Also compiles the flight code once, so that the
-    cached result serves the other workers of the machine."""
-    campaign.fly(Cell(generator="crossing", aircraft=2), [1])
-    return f"{campaign.software(twins=True)}, numba {numba.__version__}, numpy {np.__version__}"
-
-
-def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
-    """The reported results of one cell, compared with the same encounters without avoidance."""
-    losses, losses_unavoided = campaign.lost(rows), campaign.lost(unavoided)
-    low, high = wilson(losses, len(rows))
-    share = losses_unavoided / len(unavoided)
-    severities = [row.severity for row in rows if row.severity > 0.0]
-    recovery = campaign.median([math.inf if row.recovery_s is None else row.recovery_s for row in rows])
-    alerts = sum(len(row.alerts) for row in rows)
-    # Both lists of rows are in the order of the seeds.
-    false = sum(len(set(row.alerts) - set(other.lost)) for row, other in zip(rows, unavoided, strict=True))
-    return {
-        "runs": len(rows),
-        "collisions": campaign.collided(rows),
-        "losses_of_separation": losses,
-        "unavoided_collisions": campaign.collided(unavoided),
-        "unavoided_losses_of_separation": losses_unavoided,
-        "min_separation_m": min(row.separation_m for row in rows),
-        "median_min_separation_m": campaign.median([row.separation_m for row in rows]),
-        "unavoided_median_min_separation_m": campaign.median([row.separation_m for row in unavoided]),
-        "worst_seed": min(rows, key=lambda row: row.separation_m).seed,
-        "risk_ratio": losses / len(rows) / share if share else None,
-        # Only the uncertainty of the share with avoidance: the share without is near 1 and known far better.
-        "risk_ratio_interval": [low / share, high / share] if share else None,
-        "median_max_deviation_m": campaign.median([row.deviation_m for row in rows]),
-        "median_away_s": campaign.median([row.away_s for row in rows]),
-        "median_lost_s": campaign.median([row.lost_s for row in rows]),
-        "max_lost_s": max(row.lost_s for row in rows),
-        "median_path_ratio": campaign.median([row.path_ratio for row in rows]),
-        "mean_severity": float(np.mean(severities)) if severities else None,
-        "max_severity": max(severities, default=None),
-        "median_recovery_s": recovery if math.isfinite(recovery) else None,
-        "not_recovered": sum(row.recovery_s is None for row in rows),
-        "alerts": alerts,
-        "false_alerts": false,
-        "false_alert_share": false / alerts if alerts else None,
-        "crewed_losses": _crewed_losses(rows),
-        "unavoided_crewed_losses": _crewed_losses(unavoided),
-        "min_crewed_separations": min((row.crewed for row in rows if row.crewed is not None), default=None),
-        "max_beyond_fence_m": max(row.fence_m for row in rows),
-    }
-
-
-def _crewed_losses(rows: Sequence[Row]) -> int:
-    """Number of flights in which both separations from crewed traffic were lost at the same time."""
-    return sum(row.crewed is not None and row.crewed < 1.0 for row in rows)
 
 
 def _cell(args: argparse.Namespace) -> Cell:

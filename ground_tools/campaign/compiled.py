@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import config, njit
-from numba.core.runtime import rtsys
+from numba.core.runtime.nrt import rtsys
 
 from companion.avoidance import kernels, law
 from companion.avoidance.kernels.compiled import LoadingCache
@@ -16,14 +16,16 @@ from companion.traffic import adsb, right_of_way, signal_strength
 from sitl_mocks.channel import parameters as channel
 
 Function = TypeVar("Function")
+_COMPILED = ("world", "vehicles", "outcome", "powers", "flight")
 SOURCES = (
     *kernels.SOURCES,
     *(Path(str(module.__file__)) for module in (law, adsb, right_of_way, signal_strength, channel)),
-    *(Path(__file__).with_name(f"{name}.py") for name in ("world", "vehicles", "outcome", "powers")),
+    *(Path(__file__).with_name(f"{name}.py") for name in _COMPILED),
+    *(Path(__file__).parent / "peers" / f"{name}.py" for name in ("common", "orca", "mvp", "fly_away")),
 )
 """Source files whose functions and constants are compiled into functions of other files."""
 _STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False, "cache": True}
 
 
 class _CacheWithMemory(LoadingCache):
@@ -48,9 +50,9 @@ def compiled(**options: Any) -> Callable[[Function], Function]:
         held = vars(config)["CACHE_DIR"]
         vars(config)["CACHE_DIR"] = str(Path(__file__).parent / "__pycache__" / _STATE)
         try:
-            made: Any = njit(cache=True, **(_OPTIONS | options))(function)
-            if hasattr(made, "_cache"):
-                made._cache = _CacheWithMemory(function)
+            made: Any = njit(**(_OPTIONS | options))(function)
+            if options.get("cache", True) and hasattr(made, "_cache"):
+                made._cache = _CacheWithMemory(function)  # type: ignore[no-untyped-call]
             return cast(Function, made)
         finally:
             vars(config)["CACHE_DIR"] = held

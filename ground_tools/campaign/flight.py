@@ -1,11 +1,13 @@
 """One flight of a fleet, entirely in compiled code: `vehicles` in a `world`, with the companion's own law.
 
-The decision function is `companion.avoidance.kernels.decide`, the same that the companion uses in flight.
+The decision function is `companion.avoidance.kernels.decide`, the same that the companion uses in flight. The
+laws of `peers` fly in the same loop with decision functions of their own.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +19,16 @@ from companion.traffic import adsb
 from companion.traffic.right_of_way import CREWED as CREWED_RANK
 from companion.traffic.right_of_way import FREE, share_of
 from ground_tools.campaign.compiled import compiled
-from ground_tools.campaign.outcome import P_ALERT, Tally, count_decision, land, measure, nothing_yet
+from ground_tools.campaign.outcome import (
+    P_ALERT,
+    Log,
+    Tally,
+    count_decision,
+    land,
+    measure,
+    nothing_yet,
+    write_down,
+)
 from ground_tools.campaign.powers import (
     S_BESIDE,
     S_EAST,
@@ -56,36 +67,6 @@ _FIT_AGAIN_S = 4.0
 control of the vehicle again."""
 
 
-class Log(NamedTuple):
-    """Record of D decisions of each of A aircraft; NED, m and m/s. It may be shorter than the flight."""
-
-    time_s: Floats
-    """(D, A)."""
-    position: Floats
-    """(D, A, 3): own position, as the aircraft knows it; likewise the velocity."""
-    velocity: Floats
-    """(D, A, 3)."""
-    wanted: Floats
-    """(D, A, 3)."""
-    flown: Floats
-    """(D, A, 3): velocity flown, which for an aircraft that avoids is the command."""
-    feasible: Floats
-    """(D, A): 0 or 1; likewise the next two."""
-    conflict: Floats
-    """(D, A)."""
-    recovering: Floats
-    """(D, A)."""
-    late_s: Floats
-    """(D, A): delay of the path."""
-    message_s: Floats
-    """(D, A, A): when the message was sent that the decision knew of each other aircraft; NaN: none. On the
-    diagonal: that of the aircraft's own latest message."""
-    others: Floats
-    """(D, A, A, columns of `kernels.Other`): that message; on the diagonal only position and velocity."""
-    views: Floats
-    """(D, A, A, columns of `kernels.Seen`): what the decision said of each other aircraft."""
-
-
 class Mind(NamedTuple):
     """What the companions of A aircraft remember, and the tables for one decision."""
 
@@ -117,22 +98,25 @@ class Mind(NamedTuple):
     """(A,): turn of a turning aircraft, rad; likewise its climb, m/s."""
     climb: Floats
     """(A,)."""
+    notes: Floats
+    """(A, A + OWN_NOTES): memory of a law of `peers`: first of each other aircraft, then of its own."""
 
 
-def new_log(fleet: int, decisions: int = 0) -> Log:
-    """A log for so many decisions of each aircraft."""
-    pairs = decisions, fleet, fleet
-    return Log(
-        *(np.zeros((decisions, fleet, *more)) for more in ((), (3,), (3,), (3,), (3,), (), (), (), ())),
-        *(np.full((*pairs, *more), math.nan) for more in ((), (k.OTHER_COLUMNS,), (k.SEEN_COLUMNS,))),
-    )
+Decide = Callable[..., k.Decision]
+"""A compiled decision function: from `mind`, the index of the aircraft, the number of rows of its table
+`mind.neighbours`, its `k.Own`, `k.Path` and fence, the table of settings of all aircraft, its own
+`k.Settings` and the workspace."""
+Loop = Callable[..., None]
+"""A compiled function with the arguments of `loop_of` but the first, which is the law that it flies."""
+OWN_NOTES = 6
 
 
 def _new_mind(fleet: int, settings: Floats) -> Mind:
     pasts = np.tile(np.array(k.NO_PAST), (fleet, fleet, 1))
     heard = np.zeros((fleet, fleet, MESSAGE_COLUMNS))
     heard[:, :, M_TIME] = -math.inf
-    first = [k.first_state(k.Settings(*row), 0) for row in settings.tolist()]
+    fields = len(k.Settings._fields)
+    first = [k.first_state(k.Settings(*row), 0) for row in settings[:, :fields].tolist()]
     return Mind(
         heard=heard,
         got=np.zeros((fleet, fleet)),
@@ -148,6 +132,7 @@ def _new_mind(fleet: int, settings: Floats) -> Mind:
         senders=np.zeros(2 * fleet, np.int64),
         turn=np.zeros(fleet),
         climb=np.zeros(fleet),
+        notes=np.zeros((fleet, fleet + OWN_NOTES)),
     )
 
 
@@ -169,6 +154,7 @@ def fly(
     result: Floats,
     powers: Powers | None = None,
     power_rng: np.random.Generator | None = None,
+    loop: Loop | None = None,
 ) -> None:
     """Fly a fleet along its paths.
 
@@ -177,7 +163,8 @@ def fly(
         world: from `World.conditions`.
         path_times, path_points: shapes (A, K) and (A, K, 3): each aircraft's timed path, NED.
         fence: as in `kernels.decide`, the same for all aircraft.
-        settings: shape (A, fields of `kernels.Settings`): settings of each aircraft's law.
+        settings: shape (A, at least the fields of `kernels.Settings`): settings of each aircraft's law.
+            A law of `peers` has its parameters in the columns after those fields.
         kinds: shape (A,): AVOIDS, or another kind of aircraft.
         trace: shape (steps, A, 3): true positions. Written for as many steps as it has; may be empty.
         log: written for as many decisions as it has.
@@ -185,6 +172,7 @@ def fly(
         result: FLIGHT_ENTRIES values; written.
         powers: from `powers.unmeasured`; written. None: no powers are measured.
         power_rng: source of the shadowing of messages, so that all other draws are the same without it.
+        loop: the loop of the law that is flown; None: that of the companion's own law.
     """
     fleet = len(kinds)
     if powers is None or power_rng is None:
@@ -194,11 +182,100 @@ def fly(
     mind, work = _new_mind(fleet, settings), k.workspace(len(fence), 2 * fleet)
     dark, dark_from = _blackout(rng, world, kinds)
     begin(rng, world, path_times, path_points, kinds, craft)
-    _fly(
+    (loop or _fly)(
         rng, world, path_times, path_points, fence, settings, kinds, trace, log, pairs, result, craft, tally,
         mind, work, dark, float(dark_from), powers, power_rng,
     )  # fmt: skip
     land(kinds, mind.late_s, tally, pairs, result)
+
+
+@compiled(cache=False, inline="always")  # numba cannot cache a function that is given another one
+def loop_of(
+    decide: Decide,
+    rng: np.random.Generator,
+    world: Conditions,
+    path_times: Floats,
+    path_points: Floats,
+    fence: Floats,
+    settings: Floats,
+    kinds: Floats,
+    trace: Floats,
+    log: Log,
+    pairs: Floats,
+    result: Floats,
+    craft: Fleet,
+    tally: Tally,
+    mind: Mind,
+    work: k.Workspace,
+    dark: int,
+    dark_from: float,
+    powers: Powers,
+    power_rng: np.random.Generator,
+) -> None:
+    """The loop of `fly`, in which every aircraft flies the law `decide`."""
+    step = world.step_s
+    every, message_every = int(world.period), int(world.message)
+    steps = round((world.end_s - world.start_s) / step)
+    for tick in range(steps):
+        now = world.start_s + tick * step
+        blacked = now >= dark_from and now < dark_from + world.blackout_s
+        unfit = now >= dark_from and now < dark_from + world.blackout_s + _FIT_AGAIN_S
+        for i in range(len(kinds)):
+            if (tick + craft.phase[i]) % message_every == 0 and not (i == dark and blacked):
+                slot = send(rng, world, tick, i, kinds, craft)
+                for c in range(MESSAGE_COLUMNS):
+                    mind.heard[i, i, c] = craft.sent[i, slot, c]
+        if world.signal != 0.0:
+            measure_powers(power_rng, world, tick, kinds, craft, mind.heard, powers)
+        if tick % every == 0:
+            for i in range(len(kinds)):
+                if i == dark and unfit:
+                    craft.command[i, 0] = craft.command[i, 1] = craft.command[i, 2] = 0.0
+                    continue
+                _receive(now, world.declared_m, i, craft, mind)
+                count = _look(world, now, i, kinds, craft, mind, powers)
+                own, law = _own(world, now, i, craft), k.settings_at(settings, i)
+                path = k.Path(path_times[i], path_points[i])
+                decision = decide(mind, i, count, own, path, fence, settings, law, work)
+                _remember(mind, i, decision.state)
+                _command(rng, round(_TURN_S / step), tick, i, kinds, law, decision.chosen, craft, mind)
+                if tick // every < len(log.time_s):
+                    write_down(
+                        log, tick // every, i, own, decision, count, craft, mind.heard, mind.neighbours,
+                        mind.senders, work.seen,
+                    )  # fmt: skip
+                if kinds[i] == AVOIDS:
+                    count_decision(tally, now, i, decision.feasible, decision.conflict)
+                    if decision.conflict:
+                        for n in range(count):
+                            if k.seen_at(work.seen, n).conflict != 0.0:
+                                j = mind.senders[n]
+                                pairs[max(i, j), min(i, j), P_ALERT] = 1.0
+        move(rng, world, craft)
+        measure(
+            world, tick, path_times, path_points, mind.late_s, fence, settings, kinds, craft, tally, result
+        )
+        if tick < len(trace):
+            for i in range(len(kinds)):
+                for c in range(3):
+                    trace[tick, i, c] = craft.position[i, c]
+
+
+@_compiled
+def flying_law(
+    mind: Mind,
+    i: int,
+    count: int,
+    own: k.Own,
+    path: k.Path,
+    fence: Floats,
+    settings: Floats,
+    law: k.Settings,
+    work: k.Workspace,
+) -> k.Decision:
+    """The decision function of the companion's own law; see `Decide`."""
+    history = k.History(mind.times_s[i], mind.velocities[i])
+    return k.decide(mind.neighbours, count, own, path, fence, law, state_of(mind, i), history, work)
 
 
 @_compiled
@@ -223,52 +300,11 @@ def _fly(
     powers: Powers,
     power_rng: np.random.Generator,
 ) -> None:
-    """The loop of `fly`."""
-    step = world.step_s
-    every, message_every = int(world.period), int(world.message)
-    steps = round((world.end_s - world.start_s) / step)
-    for tick in range(steps):
-        now = world.start_s + tick * step
-        blacked = now >= dark_from and now < dark_from + world.blackout_s
-        unfit = now >= dark_from and now < dark_from + world.blackout_s + _FIT_AGAIN_S
-        for i in range(len(kinds)):
-            if (tick + craft.phase[i]) % message_every == 0 and not (i == dark and blacked):
-                slot = send(rng, world, tick, i, kinds, craft)
-                for c in range(MESSAGE_COLUMNS):
-                    mind.heard[i, i, c] = craft.sent[i, slot, c]
-        if world.signal != 0.0:
-            measure_powers(power_rng, world, tick, kinds, craft, mind.heard, powers)
-        if tick % every == 0:
-            for i in range(len(kinds)):
-                if i == dark and unfit:
-                    craft.command[i, 0] = craft.command[i, 1] = craft.command[i, 2] = 0.0
-                    continue
-                _receive(now, world.declared_m, i, craft, mind)
-                count = _look(world, now, i, kinds, craft, mind, powers)
-                own, law = _own(world, now, i, craft), k.settings_at(settings, i)
-                decision = k.decide(
-                    mind.neighbours, count, own, k.Path(path_times[i], path_points[i]), fence, law,
-                    _state(mind, i), k.History(mind.times_s[i], mind.velocities[i]), work,
-                )  # fmt: skip
-                _remember(mind, i, decision.state)
-                _command(rng, round(_TURN_S / step), tick, i, kinds, law, decision.chosen, craft, mind)
-                if tick // every < len(log.time_s):
-                    _write_down(log, tick // every, i, own, decision, count, craft, mind, work.seen)
-                if kinds[i] == AVOIDS:
-                    count_decision(tally, now, i, decision.feasible, decision.conflict)
-                    if decision.conflict:
-                        for n in range(count):
-                            if k.seen_at(work.seen, n).conflict != 0.0:
-                                j = mind.senders[n]
-                                pairs[max(i, j), min(i, j), P_ALERT] = 1.0
-        move(rng, world, craft)
-        measure(
-            world, tick, path_times, path_points, mind.late_s, fence, settings, kinds, craft, tally, result
-        )
-        if tick < len(trace):
-            for i in range(len(kinds)):
-                for c in range(3):
-                    trace[tick, i, c] = craft.position[i, c]
+    """The loop of the companion's own law."""
+    loop_of(
+        flying_law, rng, world, path_times, path_points, fence, settings, kinds, trace, log, pairs, result,
+        craft, tally, mind, work, dark, dark_from, powers, power_rng,
+    )  # fmt: skip
 
 
 def _blackout(rng: np.random.Generator, world: Conditions, kinds: Floats) -> tuple[int, float]:
@@ -295,7 +331,7 @@ def _own(world: Conditions, now: float, i: int, craft: Fleet) -> k.Own:
 
 
 @_inlined
-def _state(mind: Mind, i: int) -> k.State:
+def state_of(mind: Mind, i: int) -> k.State:
     """The state of aircraft i's law."""
     command = k.Vector(mind.command[i, 0], mind.command[i, 1], mind.command[i, 2])
     return k.State(command, mind.decided_s[i], mind.quiet[i], mind.late_s[i], mind.samples[i])
@@ -396,38 +432,3 @@ def _look(
             mind.senders[count] = j
             count += 1
     return count
-
-
-@_compiled
-def _write_down(
-    log: Log,
-    d: int,
-    i: int,
-    own: k.Own,
-    decision: k.Decision,
-    count: int,
-    craft: Fleet,
-    mind: Mind,
-    seen: Floats,
-) -> None:
-    """Record decision d of aircraft i, as it was flown."""
-    log.time_s[d, i], log.late_s[d, i] = own.now_s, decision.state.delay_s
-    log.position[d, i, 0], log.position[d, i, 1], log.position[d, i, 2] = own.position
-    log.velocity[d, i, 0], log.velocity[d, i, 1], log.velocity[d, i, 2] = own.velocity
-    log.wanted[d, i, 0], log.wanted[d, i, 1], log.wanted[d, i, 2] = decision.wanted
-    log.feasible[d, i], log.conflict[d, i] = decision.feasible, decision.conflict
-    log.recovering[d, i] = decision.recovering
-    for c in range(3):
-        log.flown[d, i, c] = craft.command[i, c]
-    log.message_s[d, i, i] = mind.heard[i, i, M_TIME]
-    for c in range(MESSAGE_COLUMNS - 1):
-        log.others[d, i, i, c] = mind.heard[i, i, 1 + c]
-    for n in range(count):
-        j = mind.senders[n]
-        if n > 0 and mind.senders[n - 1] == j:
-            continue  # the same aircraft at the place that its signal strength points to
-        log.message_s[d, i, j] = mind.heard[i, j, M_TIME]
-        for c in range(k.OTHER_COLUMNS):
-            log.others[d, i, j, c] = mind.neighbours[n, c]
-        for c in range(k.SEEN_COLUMNS):
-            log.views[d, i, j, c] = seen[n, c]

@@ -1,4 +1,5 @@
-"""Outcome of a flight: least distances, conflicts and their cost, in compiled code."""
+"""Outcome of a flight: least distances, conflicts and their cost, and the record of decisions, in compiled
+code."""
 
 from __future__ import annotations
 
@@ -7,10 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.arrays import Floats
+from companion.arrays import Floats, Integers
 from companion.avoidance import kernels as k
 from ground_tools.campaign.compiled import compiled
-from ground_tools.campaign.vehicles import AVOIDS, BAROMETRIC, CREWED, Fleet
+from ground_tools.campaign.vehicles import (
+    AVOIDS,
+    BAROMETRIC,
+    CREWED,
+    M_TIME,
+    MESSAGE_COLUMNS,
+    Fleet,
+)
 from ground_tools.campaign.world import Conditions
 
 COLLISION_M = 2.0
@@ -40,6 +48,36 @@ D_ALL, D_INFEASIBLE, D_MANOEUVRES, DECISION_ENTRIES = range(4)
 P_SEPARATION, P_ALERT, PAIR_ENTRIES = range(3)
 
 
+class Log(NamedTuple):
+    """Record of D decisions of each of A aircraft; NED, m and m/s. It may be shorter than the flight."""
+
+    time_s: Floats
+    """(D, A)."""
+    position: Floats
+    """(D, A, 3): own position, as the aircraft knows it; likewise the velocity."""
+    velocity: Floats
+    """(D, A, 3)."""
+    wanted: Floats
+    """(D, A, 3)."""
+    flown: Floats
+    """(D, A, 3): velocity flown, which for an aircraft that avoids is the command."""
+    feasible: Floats
+    """(D, A): 0 or 1; likewise the next two."""
+    conflict: Floats
+    """(D, A)."""
+    recovering: Floats
+    """(D, A)."""
+    late_s: Floats
+    """(D, A): delay of the path."""
+    message_s: Floats
+    """(D, A, A): when the message was sent that the decision knew of each other aircraft; NaN: none. On the
+    diagonal: that of the aircraft's own latest message."""
+    others: Floats
+    """(D, A, A, columns of `kernels.Other`): that message; on the diagonal only position and velocity."""
+    views: Floats
+    """(D, A, A, columns of `kernels.Seen`): what the decision said of each other aircraft."""
+
+
 class Tally(NamedTuple):
     """Values accumulated during a flight of A aircraft; m and s."""
 
@@ -63,6 +101,15 @@ class Tally(NamedTuple):
 
 _compiled = compiled()
 _inlined = compiled(inline="always")
+
+
+def new_log(fleet: int, decisions: int = 0) -> Log:
+    """A log for so many decisions of each aircraft."""
+    pairs = decisions, fleet, fleet
+    return Log(
+        *(np.zeros((decisions, fleet, *more)) for more in ((), (3,), (3,), (3,), (3,), (), (), (), ())),
+        *(np.full((*pairs, *more), math.nan) for more in ((), (k.OTHER_COLUMNS,), (k.SEEN_COLUMNS,))),
+    )
 
 
 def nothing_yet(fleet: int, pairs: Floats, result: Floats) -> Tally:
@@ -211,3 +258,45 @@ def land(kinds: Floats, late: Floats, tally: Tally, pairs: Floats, result: Float
     result[F_PATH_RATIO] = tally.way[0] / tally.way[1] if tally.way[1] > 0.0 else 1.0
     result[F_MANOEUVRES] = tally.decisions[D_MANOEUVRES]
     result[F_INFEASIBLE] = tally.decisions[D_INFEASIBLE] / max(tally.decisions[D_ALL], 1.0)
+
+
+@_compiled
+def write_down(
+    log: Log,
+    d: int,
+    i: int,
+    own: k.Own,
+    decision: k.Decision,
+    count: int,
+    craft: Fleet,
+    heard: Floats,
+    neighbours: Floats,
+    senders: Integers,
+    seen: Floats,
+) -> None:
+    """Record decision d of aircraft i, as it was flown.
+
+    Args:
+        heard, neighbours, senders: as in `flight.Mind`.
+        seen: the reports of the decision.
+    """
+    log.time_s[d, i], log.late_s[d, i] = own.now_s, decision.state.delay_s
+    log.position[d, i, 0], log.position[d, i, 1], log.position[d, i, 2] = own.position
+    log.velocity[d, i, 0], log.velocity[d, i, 1], log.velocity[d, i, 2] = own.velocity
+    log.wanted[d, i, 0], log.wanted[d, i, 1], log.wanted[d, i, 2] = decision.wanted
+    log.feasible[d, i], log.conflict[d, i] = decision.feasible, decision.conflict
+    log.recovering[d, i] = decision.recovering
+    for c in range(3):
+        log.flown[d, i, c] = craft.command[i, c]
+    log.message_s[d, i, i] = heard[i, i, M_TIME]
+    for c in range(MESSAGE_COLUMNS - 1):
+        log.others[d, i, i, c] = heard[i, i, 1 + c]
+    for n in range(count):
+        j = senders[n]
+        if n > 0 and senders[n - 1] == j:
+            continue  # the same aircraft at the place that its signal strength points to
+        log.message_s[d, i, j] = heard[i, j, M_TIME]
+        for c in range(k.OTHER_COLUMNS):
+            log.others[d, i, j, c] = neighbours[n, c]
+        for c in range(k.SEEN_COLUMNS):
+            log.views[d, i, j, c] = seen[n, c]

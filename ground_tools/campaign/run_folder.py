@@ -47,7 +47,7 @@ from companion.remote_id.messages import Location
 from companion.runtime.record.recorder import EventFile, create_run_folder, write_json, write_manifest
 from companion.toml_reader import without_none
 from ground_tools.campaign import cells as campaign
-from ground_tools.campaign import flight, vehicles
+from ground_tools.campaign import outcome, vehicles
 from ground_tools.campaign.cells import Cell, Look
 from ground_tools.inspect.read.truth import HEADER, ORIGIN
 from sitl_mocks.encounters.lockstep import UTC_AT_START_S
@@ -172,11 +172,11 @@ def _areas(fence: Floats) -> tuple[FenceArea, ...]:
 
 def _steps(look: Look, i: int, called: list[str]) -> Iterator[Step]:
     """Each decision of one aircraft as a recorded step of a companion."""
-    log = flight.Log(*(array[:, i] for array in look.log))
+    log = outcome.Log(*(array[:, i] for array in look.log))
     places, messages = _geodetic(log.position), _messages(log)
     logged_s = -math.inf
     for d, (lat, lon, alt) in enumerate(places):
-        own = flight.Log(*(array[d] for array in log))
+        own = outcome.Log(*(array[d] for array in log))
         now, velocity = float(own.time_s), _vec(own.velocity)
         events: list[AnyEvent] = [] if d else [VehicleTime(time_boot_s=now, utc_s=UTC_AT_START_S + now)]
         events.append(
@@ -205,7 +205,7 @@ def _steps(look: Look, i: int, called: list[str]) -> Iterator[Step]:
         yield Step(now_s=now, events=tuple(events), commands=tuple(commands))
 
 
-def _decision(own: flight.Log, point: Vec3, called: list[str]) -> Decision:
+def _decision(own: outcome.Log, point: Vec3, called: list[str]) -> Decision:
     """The entry for one decision.
 
     Args:
@@ -245,7 +245,7 @@ def _vec(v: Floats) -> Vec3:
     return n, e, d
 
 
-def _messages(log: flight.Log) -> dict[int, list[tuple[int, Location]]]:
+def _messages(log: outcome.Log) -> dict[int, list[tuple[int, Location]]]:
     """The messages that are new at each decision, by the number of the decision: sender and Location.
 
     Args:

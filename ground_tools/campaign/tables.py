@@ -111,7 +111,7 @@ class Line(msgspec.Struct, frozen=True, kw_only=True):
 
     cell: Cell
     found: dict[str, Any]
-    """The result of `command.summary`."""
+    """The result of `runs.summary`."""
     first: Row | None = None
     """The flight of the first seed, so that it can be compared with one of other software."""
 

@@ -70,7 +70,7 @@ def _policy(path: Path) -> list[str]:
 
 def entries() -> list[Entry]:
     """All kept files, in the order of their names."""
-    found = [*_tables(), *_flown(), *_trained()]
+    found = [*_tables(), *_compared(), *_flown(), *_trained()]
     return sorted(found, key=lambda entry: entry.name)
 
 
@@ -87,6 +87,28 @@ def _tables() -> list[Entry]:
             _campaign,
         )
         for name in TABLES
+    ]
+
+
+def _compared() -> list[Entry]:
+    from ground_tools.campaign.cells import ENCOUNTERS, FLIGHT, PEERS, SCENARIOS
+
+    roots = (FLIGHT, PEERS, *ENCOUNTERS)
+    commands = {
+        "peers-search": ("peers search", roots),
+        "peers-encounters": ("peers table encounters", roots),
+        "peers-missions": ("peers table missions", (*roots, *SCENARIOS)),
+        "peers-pareto": ("peers pareto", roots),
+        "scenarios": ("scenarios", (*roots, *SCENARIOS)),
+    }
+    return [
+        Entry(
+            f"results/campaign/{name}.json",
+            f"ground-tools campaign {command} --file results/campaign/{name}.json",
+            needs,
+            _campaign,
+        )
+        for name, (command, needs) in commands.items()
     ]
 
 

@@ -35,7 +35,7 @@ def compiled(function: Function) -> Function:
     return made
 
 
-class LoadingCache(FunctionCache):  # type: ignore[misc]  # numba has no types
+class LoadingCache(FunctionCache):
     """Cache that loads compiled code without numba's compiler.
 
     Before it loads anything, numba's own cache imports what only compiling needs, the implementations of all
@@ -46,8 +46,9 @@ class LoadingCache(FunctionCache):  # type: ignore[misc]  # numba has no types
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled code for a signature; None if it is not in the cache."""
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)
+        itself: Any = self  # numba has no types
+        with itself._guard_against_spurious_io_errors():
+            return itself._load_overload(sig, target_context)
 
 
 def _made(function: Function) -> Function:
@@ -58,7 +59,7 @@ def _made(function: Function) -> Function:
         try:
             made: Any = njit(cache=True, **_OPTIONS)(function)
             if hasattr(made, "_cache"):
-                made._cache = LoadingCache(function)
+                made._cache = LoadingCache(function)  # type: ignore[no-untyped-call]
         except RuntimeError:  # no folder is usable for the cache
             break
         finally:

@@ -105,7 +105,7 @@ def flown(
         np.array([settings_of(avoidance, limits, path) for path in paths]),
         np.full(AIRCRAFT, float(vehicles.AVOIDS)),
         trace,
-        flight.new_log(AIRCRAFT),
+        outcome.new_log(AIRCRAFT),
         pairs,
         np.zeros(outcome.FLIGHT_ENTRIES),
     )

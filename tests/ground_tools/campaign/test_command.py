@@ -17,8 +17,8 @@ from ground_tools import cli
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import tables
 from ground_tools.campaign.cells import Cell, Row, fly
-from ground_tools.campaign.command import summary
 from ground_tools.campaign.generators import NAMES
+from ground_tools.campaign.runs import summary
 
 S2 = ["campaign", "run", "--generator", "S2", "--delay", "1", "2", "--processes", "1"]
 
@@ -94,7 +94,7 @@ def test_what_is_kept_is_not_flown_again(tmp_path, capsys, monkeypatch):
     first = json.loads(capsys.readouterr().out)
     flown = []
     monkeypatch.setattr(
-        "ground_tools.campaign.command.in_parallel", lambda f, items, *_: flown.extend(items) or []
+        "ground_tools.campaign.runs.in_parallel", lambda f, items, *_: flown.extend(items) or []
     )
     assert cli.main([*S2, "--seeds", "1-3", *out]) == 0
     again = json.loads(capsys.readouterr().out)

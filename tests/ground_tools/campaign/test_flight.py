@@ -36,11 +36,17 @@ def fly(times, points, world, avoidance=DMUCA, seed=1, steps=0, kinds=None):
         np.array(settings),
         kinds,
         trace,
-        flight.new_log(len(paths)),
+        outcome.new_log(len(paths)),
         np.zeros((len(paths), len(paths), outcome.PAIR_ENTRIES)),
         result,
     )
     return result, trace
+
+
+def not_compiled(monkeypatch):
+    """Let the loop of a flight and what it calls of the law run as Python."""
+    for name in ("_fly", "loop_of", "flying_law"):
+        monkeypatch.setattr(flight, name, getattr(flight, name).py_func)
 
 
 def straight(*ways):
@@ -103,7 +109,7 @@ def test_every_command_is_the_one_that_the_core_gives(law, monkeypatch):
     compiled, _ = fly(times, points, world, avoidance)
     core = Core(times, points, avoidance)
     monkeypatch.setattr(k, "decide", core)
-    monkeypatch.setattr(flight, "_fly", flight._fly.py_func)
+    not_compiled(monkeypatch)
     result, _ = fly(times, points, world, avoidance)
     assert core.decisions == 3 * 300
     assert result[outcome.F_MANOEUVRES] > 0.0
@@ -251,7 +257,7 @@ def test_wind_shakes_clocks_age_and_velocities_err(monkeypatch):
         return decide(neighbours, count, own, *others)
 
     monkeypatch.setattr(k, "decide", spy)
-    monkeypatch.setattr(flight, "_fly", flight._fly.py_func)
+    not_compiled(monkeypatch)
     fly(*HEAD_ON, replace(SHORT, end_s=20.0, clock_s=0.5), seed=3)
     ages = np.array([h[1] for h in heard if len(h) > 1])
     assert ages.min() == 0.0  # a clock that leads: never from the future

@@ -14,7 +14,7 @@ from companion.events import Broadcast, Decision, RemoteIdHeard, VelocitySetpoin
 from companion.radio.frames_io import radio_address
 from ground_tools import cli
 from ground_tools.campaign import cells as campaign
-from ground_tools.campaign import flight, run_folder
+from ground_tools.campaign import outcome, run_folder
 from ground_tools.campaign.cells import Cell
 from ground_tools.inspect.read.flown import TRUE, flown, separations
 from ground_tools.inspect.read.read_run import read_run, read_unavoided
@@ -55,7 +55,7 @@ def test_the_record_shows_what_the_law_decides(look, run):
         steps = list(run.aircraft[i].steps())
         assert len(steps) == len(look.log.time_s) == 1200
         for d, step in enumerate(steps):
-            own = flight.Log(*(array[d, i] for array in look.log))
+            own = outcome.Log(*(array[d, i] for array in look.log))
             heard = []
             for j in np.flatnonzero(np.isfinite(own.message_s)).tolist():
                 other = k.Other(*own.others[j].tolist())

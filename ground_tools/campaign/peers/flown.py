@@ -1,0 +1,65 @@
+"""What the name of a law means for a flight: a law of the companion, or one of `laws`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from companion.avoidance import kernels
+from companion.config import AvoidanceConfig
+from companion.errors import ConfigError
+from ground_tools.campaign.peers import laws
+from ground_tools.campaign.peers.orca import Orca
+
+OWN = "dmuca"
+"""Name of the companion's own law."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """What a name means."""
+
+    avoidance: AvoidanceConfig
+    """Configuration of the companion's law, which a peer shares as far as it applies."""
+    peer: tuple[laws.Peer, laws.Parameters] | None = None
+    """The law that flies instead of the companion's."""
+    changed: dict[str, float] = field(default_factory=dict)
+    """Numbers of the companion's law that are changed, by field of `kernels.Settings`."""
+
+    def settings(self, own: kernels.Settings, avoids: bool) -> list[float]:
+        """The row of one aircraft in the table of settings of `flight.fly`.
+
+        Args:
+            own: settings of the companion's law for this aircraft.
+            avoids: False: the aircraft flies its path only.
+        """
+        own = own._replace(**self.changed)
+        if self.peer is None:
+            return list(own if avoids else own._replace(law=kernels.NONE))
+        _, parameters = self.peer
+        if isinstance(parameters, Orca):
+            own = own._replace(growth=parameters.growth)
+        return [*own._replace(law=kernels.NONE), 1.0 if avoids else 0.0, *parameters]
+
+
+def flown_by(law: str, companions: Mapping[str, AvoidanceConfig]) -> Flown:
+    """What a law's name means.
+
+    Args:
+        companions: the laws of the companion.
+
+    Raises:
+        ConfigError: there is no such law, or it has no such parameter.
+    """
+    if law in companions:
+        return Flown(companions[law])
+    name = law.partition(":")[0]
+    if name not in laws.PEERS and name != OWN:
+        allowed = ", ".join([*companions, *laws.PEERS])
+        raise ConfigError(f"--law: {name} is unknown; allowed: {allowed}")
+    try:
+        if name == OWN:
+            return Flown(companions[OWN], changed=laws.varied(law))
+        return Flown(companions[OWN], peer=laws.of(law))
+    except ValueError as error:
+        raise ConfigError(f"--law: {error}") from error

@@ -1,0 +1,161 @@
+"""Flying those flights of cells that are missing, and the reported results of one cell."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+from rich.console import Console
+
+from companion.errors import ConfigError
+from ground_tools.campaign import cells as campaign
+from ground_tools.campaign.cells import Cell, Row
+from ground_tools.channel import options
+from ground_tools.common.cluster import on_ray
+from ground_tools.common.intervals import wilson
+from ground_tools.common.progress import progress
+from ground_tools.common.run_options import processes_of
+from ground_tools.common.workers import in_parallel
+
+_AIRCRAFT_AT_ONCE = 500
+"""Number of aircraft that a worker flies before it returns their results."""
+_TWINS_LONGER = 50
+"""Duration of computing a flight with twins, relative to other flights."""
+
+Part = tuple[Cell, list[int]]
+"""One unit of work for a worker: some seeds of a cell."""
+Work = Callable[[Sequence[Part]], Iterator[tuple[Part, list[Row]]]]
+
+
+def add_common(command: argparse.ArgumentParser, seeds: str) -> None:
+    """Add the options of every command that flies cells."""
+    command.add_argument("--seeds", default=seeds, metavar="FROM-TO",
+                         help=f"range of seeds, one encounter each (default: {seeds})")  # fmt: skip
+    command.add_argument(
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help="keep results in this folder, and do not repeat flights whose results are there",
+    )
+    command.add_argument(
+        "--processes", type=int, metavar="N", help="worker processes (default: one per core)"
+    )
+    command.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help="fly on a Ray cluster: HOST:PORT on a machine of the cluster, ray://HOST:PORT elsewhere",
+    )
+
+
+def fly_missing(
+    wanted: Sequence[Cell], seeds: Sequence[int], folder: Path | None, work: Work
+) -> tuple[dict[Cell, list[Row]], int]:
+    """Fly the missing rows of every cell. Returns all rows, in the order of the seeds, and the number flown.
+
+    Args:
+        folder: folder in which rows are stored and looked up; None: rows are not stored.
+        work: function that flies the units of work.
+
+    Raises:
+        ConfigError: a file cannot be read or written, or an encounter cannot be drawn.
+    """
+    rows: dict[Cell, dict[int, Row]] = {cell: {} for cell in wanted}
+    files = {}
+    if folder is not None:
+        options.make_folder(folder)
+        files = {cell: campaign.kept(folder, cell) for cell in wanted}
+        rows = {cell: dict(file.rows) for cell, file in files.items()}
+    parts: list[Part] = []
+    for cell in wanted:
+        missing = [seed for seed in seeds if seed not in rows[cell]]
+        size = max(1, _AIRCRAFT_AT_ONCE // cell.aircraft // (_TWINS_LONGER if cell.twins else 1))
+        parts += [(cell, missing[at : at + size]) for at in range(0, len(missing), size)]
+    with progress("flights", len(parts)) as advance:
+        for (cell, _), found in work(parts):
+            if cell in files:
+                files[cell].add(found)
+            rows[cell].update((row.seed, row) for row in found)
+            advance()
+    flown = sum(len(missing) for _, missing in parts)
+    return {cell: [rows[cell][seed] for seed in seeds] for cell in wanted}, flown
+
+
+def work_of(args: argparse.Namespace, words: Console) -> Work:
+    """The function that flies: with processes of this machine or on a cluster."""
+    if args.ray is None:
+        processes = processes_of(args.processes)
+
+        def here(parts: Sequence[Part]) -> Iterator[tuple[Part, list[Row]]]:
+            first = {cell.law.partition(":")[0]: (cell, seeds) for cell, seeds in reversed(parts)}
+            for cell, seeds in first.values():
+                campaign.fly(cell, seeds[:1])  # compiles each law once, for all workers
+            return in_parallel(_fly, parts, processes, words)
+
+        return here
+    if args.processes is not None:
+        raise ConfigError("--processes cannot be combined with --ray, which uses all CPUs of the cluster")
+    return lambda parts: on_ray(_fly, parts, args.ray, _state, words)
+
+
+def _fly(part: Part) -> list[Row]:
+    return campaign.fly(*part)
+
+
+def _state() -> str:
+    """The versions of all software that the rows depend on. Also compiles the flight code once, so that the
+    cached result serves the other workers of the machine."""
+    campaign.fly(Cell(generator="crossing", aircraft=2), [1])
+    state = campaign.software(twins=True, peers=True, scenarios=True)
+    return f"{state}, numba {numba.__version__}, numpy {np.__version__}"
+
+
+def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
+    """The reported results of one cell, compared with the same encounters without avoidance."""
+    losses, losses_unavoided = campaign.lost(rows), campaign.lost(unavoided)
+    low, high = wilson(losses, len(rows))
+    share = losses_unavoided / len(unavoided)
+    severities = [row.severity for row in rows if row.severity > 0.0]
+    recovery = campaign.median([math.inf if row.recovery_s is None else row.recovery_s for row in rows])
+    alerts = sum(len(row.alerts) for row in rows)
+    # Both lists of rows are in the order of the seeds.
+    false = sum(len(set(row.alerts) - set(other.lost)) for row, other in zip(rows, unavoided, strict=True))
+    return {
+        "runs": len(rows),
+        "collisions": campaign.collided(rows),
+        "losses_of_separation": losses,
+        "unavoided_collisions": campaign.collided(unavoided),
+        "unavoided_losses_of_separation": losses_unavoided,
+        "min_separation_m": min(row.separation_m for row in rows),
+        "median_min_separation_m": campaign.median([row.separation_m for row in rows]),
+        "unavoided_median_min_separation_m": campaign.median([row.separation_m for row in unavoided]),
+        "worst_seed": min(rows, key=lambda row: row.separation_m).seed,
+        "risk_ratio": losses / len(rows) / share if share else None,
+        # Only the uncertainty of the share with avoidance: the share without is near 1 and known far better.
+        "risk_ratio_interval": [low / share, high / share] if share else None,
+        "median_max_deviation_m": campaign.median([row.deviation_m for row in rows]),
+        "median_away_s": campaign.median([row.away_s for row in rows]),
+        "median_lost_s": campaign.median([row.lost_s for row in rows]),
+        "max_lost_s": max(row.lost_s for row in rows),
+        "median_path_ratio": campaign.median([row.path_ratio for row in rows]),
+        "mean_severity": float(np.mean(severities)) if severities else None,
+        "max_severity": max(severities, default=None),
+        "median_recovery_s": recovery if math.isfinite(recovery) else None,
+        "not_recovered": sum(row.recovery_s is None for row in rows),
+        "alerts": alerts,
+        "false_alerts": false,
+        "false_alert_share": false / alerts if alerts else None,
+        "crewed_losses": _crewed_losses(rows),
+        "unavoided_crewed_losses": _crewed_losses(unavoided),
+        "min_crewed_separations": min((row.crewed for row in rows if row.crewed is not None), default=None),
+        "max_beyond_fence_m": max(row.fence_m for row in rows),
+    }
+
+
+def _crewed_losses(rows: Sequence[Row]) -> int:
+    """Number of flights in which both separations from crewed traffic were lost at the same time."""
+    return sum(row.crewed is not None and row.crewed < 1.0 for row in rows)
