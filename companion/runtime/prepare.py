@@ -68,7 +68,8 @@ def _on_air(decided: Decided, region: Region, wifi_channel: int | None) -> str:
             rates.append(f"{transport} {rate}/s")
             continue
         rates.append(f"{transport} {1.0 / (MARGIN * period_s):.3g}/s")
-        where = f" on channel {wifi_channel}" if transport == "wifi" else ""
+        on_wifi = transport == "wifi" and wifi_channel is not None
+        where = f" on channel {wifi_channel}" if on_wifi else ""
         because = "sent with a margin" if rate * period_s >= 1.0 else f"not {rate}/s"
         reasons.append(f"region {region.name} asks for {transport}{where} every {period_s:g} s, {because}")
     return (", ".join(rates) or "nothing") + (f" ({'; '.join(reasons)})" if reasons else "")

@@ -137,7 +137,7 @@ def _most(counts: Iterable[tuple[str, int]]) -> str:
     """The first few names, each with its count if it is more than 1."""
     rows = list(counts)
     words = [f"{name} ({count})" if count > 1 else name for name, count in rows[:_NAMED]]
-    return ", ".join([*words, f"{len(rows) - _NAMED} more kinds"] if len(rows) > _NAMED else words)
+    return ", ".join([*words, f"{len(rows) - _NAMED} more"] if len(rows) > _NAMED else words)
 
 
 def damage(figures: dict[str, Any]) -> list[str]:

@@ -37,7 +37,7 @@ _STYLE = """
 body { font: 15px/1.45 system-ui, "DejaVu Sans", sans-serif; color: var(--ink); background: var(--paper);
   max-width: 1060px; margin: 0 auto; padding: 1.2rem; }
 nav { font-size: 12.5px; }
-nav a { margin-right: .9rem; white-space: nowrap; }
+nav a { margin-right: .9rem; }
 h1 { font-size: 1.5rem; margin: 0 0 .3rem; overflow-wrap: anywhere; }
 h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; border-bottom: 2px solid #0072b2; break-after: avoid; }
 h3 { font-size: 1rem; margin: 1.2rem 0 .3rem; break-after: avoid; overflow-wrap: anywhere; }
@@ -63,7 +63,7 @@ figcaption { font-size: 12.5px; color: var(--soft); }
 .note { font-size: 12.5px; color: var(--soft); }
 @media screen and (max-width: 640px) {
   body { padding: .7rem; }
-  td, th { min-width: 3.2rem; }
+  table { min-width: 40rem; }
 }
 @page { size: A4; margin: 14mm; }
 @media print {

@@ -242,3 +242,32 @@ def test_a_browser_shows_it_without_a_word_or_a_request(hostile: str, tmp_path: 
     assert len(sizes) >= 7
     assert all(size > 100 for size in sizes)
     assert wide <= 1000
+
+
+@pytest.mark.skipif(chromium.missing() is not None, reason=str(chromium.missing()))
+def test_it_is_read_in_the_dark_on_a_phone_and_by_the_keyboard(
+    guard: SimpleNamespace, tmp_path: Path
+) -> None:
+    path = tmp_path / "r.html"
+    path.write_text(guard.page, encoding="utf-8")
+    colours = "(s => [s.color, s.backgroundColor])(getComputedStyle(document.body))"
+    light, dark = ["rgb(27, 27, 27)", "rgb(255, 255, 255)"], ["rgb(232, 232, 232)", "rgb(22, 24, 27)"]
+    with chromium.opened(390, 800) as browser:
+        shown = browser.page
+        shown.goto(path.as_uri())
+        assert shown.evaluate(colours) == light
+        shown.emulate_media(color_scheme="dark")
+        assert shown.evaluate(colours) == dark
+        figure = "getComputedStyle(document.querySelector('figure svg')).backgroundColor"
+        assert shown.evaluate(figure) == light[1], "the plots are drawn for white paper"
+        shown.emulate_media(color_scheme="dark", media="print")
+        assert shown.evaluate(colours) == light
+        shown.emulate_media(color_scheme="light", media="screen")
+        assert shown.evaluate("document.documentElement.scrollWidth") <= 390
+        assert shown.evaluate("document.querySelector('.verdicts').getBoundingClientRect().bottom") < 800
+        shown.keyboard.press("Tab")
+        shown.keyboard.press("Enter")
+        assert shown.evaluate("location.hash") == "#conflicts"
+        boxes = shown.evaluate("[...document.querySelectorAll('.wide')].map(e => e.tabIndex)")
+        assert boxes
+        assert set(boxes) == {0}
