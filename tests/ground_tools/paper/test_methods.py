@@ -230,3 +230,11 @@ def test_pictures_of_few_and_of_several_seeds(tmp_path):
     assert madqn.labels["low_ms"] <= madqn.ours_ms <= madqn.labels["high_ms"]
     assert madqn.published_ms == 1050.46
     assert "IAC: no run is stored" in " ".join(uav_delay.report(3, 1, source).notes)
+
+
+def test_without_a_policy_nothing_is_timed_and_no_picture_is_drawn(tmp_path):
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / "decision-time.png"
+    with pytest.raises(ConfigError, match="there is no policy file"):
+        decision_time.draw(5, 1, picture, tmp_path)
+    assert not picture.exists()
