@@ -88,8 +88,12 @@ MORE: Final = (
     "companion remote-id --help",
 )
 """Commands beside those of the docs."""
-FAILS: Final = {r"companion check": "check: NOT ready", r"companion status": "no companion is running"}
-"""Commands that end with exit code 1 or 2 without a vehicle, and what they say."""
+FAILS: Final = {
+    r"companion check": "check: NOT ready",
+    r"companion status": "no companion runs on this computer",
+    r"ground-tools results verify": "make it again",
+}
+"""Commands that end with exit code 1 or 2 here, and what they say."""
 PAGES: Final = (*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "results" / "README.md")
 _SERVED_S: Final = 12.0
 _MOST_S: Final = 900.0

@@ -94,3 +94,8 @@ def test_every_command_of_the_docs_is_tried_in_an_empty_environment_or_known_to_
         assert any(re.search(pattern, command) for command in commands), pattern
     left = [c for c in map(installed.smaller, tried) if re.search(r"\b(NAME|OTHER|FILE|DIR|RUN|CASES)\b", c)]
     assert not left, "placeholders without a file"
+
+
+def test_the_citation_is_of_this_version():
+    lines = (ROOT / "CITATION.cff").read_text().splitlines()
+    assert f"version: {dmuca.__version__}" in lines
