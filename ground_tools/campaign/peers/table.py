@@ -57,7 +57,7 @@ def separation(found: dict[str, Any]) -> str:
 def _encounters() -> tuple[Cell, ...]:
     plain = [Cell(generator=name, aircraft=5, delay_s=DELAY_S) for name in COOPERATIVE]
     turning = Cell(generator="circle", aircraft=5, delay_s=DELAY_S, intruders=TURNING, intruder="turning")
-    return (*plain, turning, Cell(generator="S2", aircraft=5, delay_s=DELAY_S, loss=0.8))
+    return (*plain, turning, Cell(generator="S2", aircraft=5, delay_s=(0.0, 1.0), loss=0.8))
 
 
 def _missions() -> tuple[Cell, ...]:
@@ -74,7 +74,7 @@ def _hits(found: dict[str, Any]) -> str:
 
 TABLES: Final[dict[str, Table]] = {
     "encounters": Table(
-        "5 aircraft at 5 m/s, delays of 2 to 3 s; every aircraft that avoids flies the same law",
+        "5 aircraft at 5 m/s, delays of 2 to 3 s unless said otherwise; all that avoid fly the same law",
         ("none", "dmuca", "paper", "orca", "orca-constant", WIDE, *_OTHERS),
         _encounters(),
         separation,
@@ -99,7 +99,7 @@ def words_of(cell: Cell) -> str:
     if cell.intruders:
         words += f", {cell.intruders:.0%} {cell.intruder}"
     if cell.loss:
-        words += f", {cell.loss:.0%} of messages lost"
+        words += f", {cell.loss:.0%} of messages lost, delays of {cell.delay_s[0]:g} to {cell.delay_s[1]:g} s"
     return words
 
 

@@ -128,11 +128,11 @@ def _parking(aircraft: int, most: float, rng: np.random.Generator) -> Way:
 
 
 def _landing(aircraft: int, most: float, rng: np.random.Generator, ends: AnyFloats) -> Way:
-    """In trail over one fix, 2 s apart, and from there to places of their own."""
+    """From an arc of 90 degrees over one fix, 2 s apart, and from there to places of their own."""
     speed = _speed(most, rng)
-    starts = np.tile([-_RING_M, 0.0], (aircraft, 1)) - np.column_stack(
-        [np.arange(aircraft) * 2.0 * speed, np.zeros(aircraft)]
-    )
+    bearing = math.pi + 0.5 * math.pi * ((np.arange(aircraft) + 0.5) / aircraft - 0.5)
+    far = _RING_M + rng.permutation(aircraft) * 2.0 * speed
+    starts = far[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
     return _arriving(starts, ends[rng.permutation(aircraft)], speed, np.zeros(aircraft), via=True)
 
 

@@ -25,7 +25,7 @@ from ground_tools.campaign.world import World
 from ground_tools.results.sources import ROOT
 
 PEERS = sorted(laws.PEERS)
-EXACT = World(end_s=60.0, sigma_m=0.0, sigma_mps=0.0, declared_m=0.0, quantised=False, delay_s=(0.0, 0.0))
+EXACT = World(end_s=100.0, sigma_m=0.0, sigma_mps=0.0, declared_m=0.0, quantised=False, delay_s=(0.0, 0.0))
 LIMITS = settings_of(AvoidanceConfig(), LimitsConfig(), Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0)] * 2))
 
 
@@ -172,10 +172,11 @@ def test_the_threats_and_the_way_of_fly_away_are_those_of_ardupilot():
 # ---------------------------------------------------------------- flights
 
 
-def head_on(law):
+def head_on(law, world, aside_m):
     """Least separation and true positions of two aircraft that meet head-on, with exact messages."""
-    south, north = (-90.0, 0.0, -100.0), (90.0, 0.0, -100.0)
-    points = np.array([[south, north], [north, south]])
+    south, north = np.array([-90.0, 0.0, -100.0]), np.array([90.0, 0.0, -100.0])
+    aside = np.array([0.0, aside_m, 0.0])
+    points = np.array([[south, north], [north + aside, south + aside]])
     times = np.tile([0.0, 60.0], (2, 1))
     meaning = flown.flown_by(law, campaign.LAWS)
     rows = [
@@ -185,9 +186,9 @@ def head_on(law):
         for t, p in zip(times, points, strict=True)
     ]
     result = np.zeros(outcome.FLIGHT_ENTRIES)
-    trace = np.zeros((600, 2, 3))
+    trace = np.zeros((1000, 2, 3))
     flight.fly(
-        np.random.default_rng(1), EXACT.conditions(0.2), times, points, k.NO_WALLS, np.array(rows),
+        np.random.default_rng(1), world.conditions(0.2), times, points, k.NO_WALLS, np.array(rows),
         np.zeros(2), trace, outcome.new_log(2), np.zeros((2, 2, outcome.PAIR_ENTRIES)), result,
         loop=meaning.peer[0].loop,
     )  # fmt: skip
@@ -195,12 +196,29 @@ def head_on(law):
 
 
 @pytest.mark.parametrize("law", PEERS)
-def test_an_exact_head_on_pair_resolves_symmetrically(law):
-    separation, trace = head_on(law)
-    # Stock ORCA plans for exactly 10 m and grazes it within what the vehicle's lag allows.
+def test_a_head_on_pair_resolves(law):
+    """Stock ORCA plans for exactly 10 m, and grazes it within what the vehicle's lag allows."""
+    separation, trace = head_on(law, EXACT, 0.5)
+    assert separation > (9.0 if law == "orca" else 10.0)
+    assert np.abs(trace[-1, 0] - (90.0, 0.0, -100.0)).max() < 5.0
+    assert np.abs(trace[-1, 1] - (-90.0, 0.5, -100.0)).max() < 5.0
+
+
+@pytest.mark.parametrize("law", [law for law in PEERS if law != "fly-away"])
+def test_an_exactly_symmetric_pair_stays_apart_and_symmetric(law):
+    """With a message in every step, both know the same of each other at the same time.
+
+    ORCA then may stop both in front of each other: it has no rule that breaks the symmetry.
+    """
+    separation, trace = head_on(law, replace(EXACT, message_s=0.1), 0.0)
     assert separation > (9.0 if law == "orca" else 10.0)
     assert trace[:, 0, :2] == pytest.approx(-trace[:, 1, :2], abs=1e-6)
-    assert abs(trace[-1, 0, :2] - (90.0, 0.0)).max() < 5.0  # back on the path
+
+
+def test_fly_away_has_no_direction_in_an_exact_head_on():
+    """The own position has no component perpendicular to the other's velocity, and ArduPilot does nothing."""
+    separation, _ = head_on("fly-away", replace(EXACT, message_s=0.1), 0.0)
+    assert separation < 2.0
 
 
 @pytest.mark.parametrize("law", PEERS)
