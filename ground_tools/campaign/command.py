@@ -161,10 +161,10 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
     cell, seeds = _cell(args), seeds_of(args.seeds)
-    flown = campaign.flown_by(cell)
+    meaning = campaign.flown_by(cell)
     _check_worst(args)
     _check_combined(args, cell)
-    if args.worst and (flown.peer or flown.changed):
+    if args.worst and (meaning.peer or meaning.changed):
         raise ConfigError(
             f"--worst cannot be combined with --law {cell.law}: a run folder holds the configuration of a "
             f"companion, which knows {', '.join(campaign.LAWS)}"
