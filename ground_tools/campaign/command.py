@@ -18,6 +18,7 @@ from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import fences, run_folder, tables
 from ground_tools.campaign.attacks import command as attacks
 from ground_tools.campaign.cells import Cell
+from ground_tools.campaign.encounters import command as encounters
 from ground_tools.campaign.generators import NAMES
 from ground_tools.campaign.peers import command as peers
 from ground_tools.campaign.peers.laws import PEERS
@@ -85,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     scenarios.add_arguments(command)
+    encounters.add_command(commands)
 
 
 def _add_run(command: argparse.ArgumentParser) -> None:

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from companion.arrays import Floats
 from companion.avoidance import kernels as k
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
@@ -112,25 +113,40 @@ def draw(cell: Cell, model: Model, seed: int) -> pairing.Encounter:
         raise ConfigError(f"--model: {error}") from error
 
 
-def _fly(cell: Cell, model: Model, seed: int) -> Row:
-    encounter = draw(cell, model, seed)
+def warm_up() -> None:
+    """Compile, or load from the cache, the code of a flight."""
+    still = np.zeros((2, 3))
+    path = Trajectory([0.0, 1.0], [(0.0, 0.0, -80.0)] * 2)
+    law = settings_of(AvoidanceConfig(), LimitsConfig(), path)
+    conditions = WORLD.conditions(AvoidanceConfig().period_s)
+    flight.fly(np.random.default_rng(1), conditions, path.arrays, (still, still), law, (flight.UNHEARD, 1.0))
+
+
+def flown(cell: Cell, encounter: pairing.Encounter, seed: int, *, avoids: bool) -> tuple[Floats, Floats]:
+    """Fly an encounter with or without avoidance. Returns what `flight.fly` does."""
     own = encounter.own_times_s, encounter.own_points
     path = Trajectory(encounter.own_times_s.tolist(), encounter.own_points.tolist())
     avoidance = AvoidanceConfig(crewed_horizontal_m=cell.horizontal_m, crewed_vertical_m=cell.vertical_m)
     law = settings_of(avoidance, cell.limits, path)
-    conditions = msgspec.structs.replace(WORLD, loss=cell.loss).conditions(avoidance.period_s)
-    track, received = (encounter.position, encounter.velocity), (_RECEIVED[cell.altitude], cell.range_m)
-    # The same seed for both, so that they differ in the law alone.
-    unavoided, _ = flight.fly(
-        np.random.default_rng([seed, 7]), conditions, own, track, law._replace(law=k.NONE), received
+    return flight.fly(
+        np.random.default_rng([seed, 7]),  # the same with and without, so that they differ in the law alone
+        msgspec.structs.replace(WORLD, loss=cell.loss).conditions(avoidance.period_s),
+        own,
+        (encounter.position, encounter.velocity),
+        law if avoids else law._replace(law=k.NONE),
+        (_RECEIVED[cell.altitude], cell.range_m),
     )
-    avoided, result = flight.fly(np.random.default_rng([seed, 7]), conditions, own, track, law, received)
+
+
+def _fly(cell: Cell, model: Model, seed: int) -> Row:
+    encounter = draw(cell, model, seed)
+    avoided, result = flown(cell, encounter, seed, avoids=True)
+    unavoided, _ = flown(cell, encounter, seed, avoids=False)
     lost, lost_unavoided = (
-        first_inside(encounter.position - flown, WORLD.step_s, WELL_CLEAR) for flown in (avoided, unavoided)
+        first_inside(encounter.position - own, WORLD.step_s, WELL_CLEAR) for own in (avoided, unavoided)
     )
     hit, hit_unavoided = (
-        first_inside(encounter.position - flown, WORLD.step_s, NMAC) is not None
-        for flown in (avoided, unavoided)
+        first_inside(encounter.position - own, WORLD.step_s, NMAC) is not None for own in (avoided, unavoided)
     )
     return Row(
         seed=seed,

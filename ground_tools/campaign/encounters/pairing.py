@@ -32,7 +32,8 @@ APART_M: Final = 1000.0
 that neither the law nor the judge begins inside."""
 OWN_HEIGHT_M: Final = (60.0, 110.0)
 """Height of our own aircraft above ground."""
-_HEADINGS: Final = 720
+_HEADINGS: Final = 360
+"""Headings over which the mean of the relative speed is taken."""
 _MOST_TRIES: Final = 20_000
 
 
@@ -111,15 +112,15 @@ def _heading(rng: np.random.Generator, velocity: Floats, own: Floats) -> tuple[f
     """
     level = math.hypot(velocity[0], velocity[1])
 
-    def relative(heading: Floats) -> Floats:
-        n, e = level * np.cos(heading) - own[0], level * np.sin(heading) - own[1]
-        return np.sqrt(n * n + e * e + (velocity[2] - own[2]) ** 2)
+    def relative(heading: float) -> float:
+        n, e = level * math.cos(heading) - own[0], level * math.sin(heading) - own[1]
+        return math.hypot(n, e, velocity[2] - own[2])
 
-    mean = float(relative(np.arange(_HEADINGS) * (2.0 * math.pi / _HEADINGS)).mean())
+    mean = sum(relative(i * 2.0 * math.pi / _HEADINGS) for i in range(_HEADINGS)) / _HEADINGS
     most = math.hypot(level + math.hypot(own[0], own[1]), velocity[2] - own[2])
     while True:
         heading = rng.uniform(0.0, 2.0 * math.pi)
-        if rng.random() * most <= float(relative(np.array(heading))):
+        if rng.random() * most <= relative(heading):
             return heading, mean
 
 

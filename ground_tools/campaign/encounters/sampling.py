@@ -227,7 +227,7 @@ def _integrated(speeds: Floats, rates: Floats, step_s: float) -> Track:
     """
     per_second = round(1.0 / step_s)
     headings = np.concatenate([[0.0], np.cumsum(rates[:, 2])])
-    share = np.arange(per_second) * step_s
+    share = np.linspace(0.0, 1.0, per_second, endpoint=False)
     speed = _filled(speeds[:-1], np.diff(speeds), share, float(speeds[-1]))
     heading = _filled(headings[:-1], rates[:, 2], share, float(headings[-1]))
     climb = np.append(np.repeat(rates[:, 1], per_second), rates[-1, 1])
