@@ -15,11 +15,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from companion.arrays import Floats
+from companion.arrays import Floats, Integers
 from companion.errors import ConfigError
 
 REGION, CLASS, LAYER, SPEED = "G", "A", "L", "v"
@@ -54,6 +54,32 @@ class Variable:
     """Cumulative sums of the rows of `counts`."""
 
 
+class Tables(NamedTuple):
+    """The transition network in the form that compiled code takes. Rows are the D dynamic variables in the
+    order in which they are drawn."""
+
+    later: Integers
+    """(D,): index at t + 1 in the transition network."""
+    at_t: Integers
+    """(D,): index of the same variable at t."""
+    bins: Integers
+    """(D,)."""
+    parents: Integers
+    """(D, most parents): indices of the parents; -1 beyond the last one."""
+    strides: Integers
+    """The same shape: see `Variable.strides`."""
+    first: Integers
+    """(D,): where the variable's cumulative sums begin in `sums`."""
+    sums: Floats
+    """Cumulative sums of the counts of all dynamic variables, row by row."""
+    edges: Floats
+    """(D, most bins + 1): boundaries of the bins, in the file's units."""
+    zero_bin: Integers
+    """(D,): the bin that stands for exactly 0; -1: none."""
+    rates: Floats
+    """(D,): chance in each second that a value is drawn anew within its bin."""
+
+
 @dataclass(frozen=True, slots=True)
 class Model:
     """The encounter model of one file."""
@@ -77,6 +103,8 @@ class Model:
     """The bin of each initial variable that stands for exactly 0; None: there is none."""
     resample_rates: tuple[float, ...]
     """Chance in each second that a value is drawn anew within its bin, of each initial variable."""
+    tables: Tables
+    """The transition network again, for compiled code."""
 
     def index(self, label: str) -> int | None:
         """Index of an initial variable; None if the model does not have it."""
@@ -154,17 +182,47 @@ def parse(text: str, name: str, digest: str) -> Model:
         )
     later_order = _sorted(sections["G_transition"], later_graph)
     drawn = _variables(sections["N_transition"], later, later_graph, later_bins, range(n, len(later)))
-    at_t, edges = dict(pairs), _boundaries(sections["boundaries"], labels, bins)
+    at_t = dict(pairs)
+    next_order = tuple((i, at_t[i]) for i in later_order if i in at_t)
+    edges = _boundaries(sections["boundaries"], labels, bins)
+    rates = _rates(sections["resample_rates"], n)
     return Model(
         name=name,
         digest=digest,
         initial=tuple(v for v in initial if v is not None),
         order=order,
         next=drawn,
-        next_order=tuple((i, at_t[i]) for i in later_order if i in at_t),
+        next_order=next_order,
         boundaries=edges,
         zero_bins=tuple(map(_zero_bin, edges)),
-        resample_rates=_rates(sections["resample_rates"], n),
+        resample_rates=rates,
+        tables=_tables(drawn, next_order, edges, rates),
+    )
+
+
+def _tables(
+    drawn: Sequence[Variable | None],
+    order: Sequence[tuple[int, int]],
+    edges: Sequence[tuple[float, ...] | None],
+    rates: Sequence[float],
+) -> Tables:
+    some = [(variable, at_t) for i, at_t in order if (variable := drawn[i]) is not None]
+    most = max(len(variable.parents) for variable, _ in some)
+    widest = max(variable.bins for variable, _ in some)
+    sums = [np.cumsum(variable.counts, axis=1).ravel() for variable, _ in some]
+    zero = [_zero_bin(edges[at_t]) for _, at_t in some]
+    ends = [edges[at_t] or () for _, at_t in some]
+    return Tables(
+        later=np.array([i for i, _ in order]),
+        at_t=np.array([at_t for _, at_t in order]),
+        bins=np.array([variable.bins for variable, _ in some]),
+        parents=np.array([[*v.parents, *[-1] * (most - len(v.parents))] for v, _ in some], np.int64),
+        strides=np.array([[*v.strides, *[0] * (most - len(v.parents))] for v, _ in some], np.int64),
+        first=np.cumsum([0, *map(len, sums[:-1])]),
+        sums=np.concatenate(sums),
+        edges=np.array([[*row, *[math.nan] * (widest + 1 - len(row))] for row in ends]),
+        zero_bin=np.array([-1 if bin_ is None else bin_ for bin_ in zero]),
+        rates=np.array([rates[at_t] for _, at_t in order]),
     )
 
 

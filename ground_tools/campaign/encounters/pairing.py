@@ -22,7 +22,7 @@ import numpy as np
 from companion.arrays import Floats
 from ground_tools.campaign.encounters.judge import Volume
 from ground_tools.campaign.encounters.model import LAYER, Model
-from ground_tools.campaign.encounters.sampling import FOOT_M, Track, draw_track
+from ground_tools.campaign.encounters.sampling import FOOT_M, Course, Track, draw_course, integrated
 
 CONFLICT_S: Final = 180
 """From the beginning to the time at which the crewed aircraft passes the window."""
@@ -67,24 +67,26 @@ def draw(rng: np.random.Generator, model: Model, own_mps: float, window: Volume,
         ValueError: the model has no counts where it was asked, or hardly ever meets the conditions.
     """
     for tries in range(1, _MOST_TRIES + 1):
-        track = draw_track(rng, model, DURATION_S, step_s)
-        found = None if track is None else _placed(rng, model, track, own_mps, window, tries)
+        course = draw_course(rng, model, DURATION_S)
+        found = None if course is None else _placed(rng, model, course, (own_mps, window, step_s), tries)
         if found is not None:
             return found
     raise ValueError(f"the model {model.name} hardly ever flies at the height of our own aircraft")
 
 
 def _placed(
-    rng: np.random.Generator, model: Model, track: Track, own_mps: float, window: Volume, tries: int
+    rng: np.random.Generator, model: Model, course: Course, wanted: tuple[float, Volume, float], tries: int
 ) -> Encounter | None:
-    """The encounter of a track; None if it does not keep the conditions."""
+    """The encounter of a course; None if it does not keep the conditions."""
+    own_mps, window, step_s = wanted
     layers = [edge * FOOT_M for edge in model.bounds(LAYER)]
-    own_height, height = rng.uniform(*OWN_HEIGHT_M), rng.uniform(layers[0], layers[1])
-    heights = height - track.position[:, 2]
-    at = round(CONFLICT_S / track.step_s)
-    passed = abs(heights[at] - own_height) <= window.height_m
+    own_height, start = rng.uniform(*OWN_HEIGHT_M), rng.uniform(layers[0], layers[1])
+    heights = start + np.append(0.0, np.cumsum(course.rates[:, 1]))
+    height = float(heights[CONFLICT_S])
+    passed = abs(height - own_height) <= window.height_m
     if not passed or heights.min() < layers[0] or heights.max() > layers[-1]:
         return None
+    track, at = integrated(course, step_s), round(CONFLICT_S / step_s)
     own_heading = rng.uniform(0.0, 2.0 * math.pi)
     own_way = own_mps * np.array([math.cos(own_heading), math.sin(own_heading), 0.0])
     heading, weight = _heading(rng, track.velocity[at], own_way)
@@ -95,7 +97,7 @@ def _placed(
         return None
     aside = rng.uniform(-window.aside_m, window.aside_m)
     place = aside / speed * np.array([-relative[1], relative[0]])
-    position = position - np.append(position[at, :2] - place, height)
+    position = position - position[at] + np.append(place, -height)
     own_points = np.array([-CONFLICT_S * own_way, (DURATION_S - CONFLICT_S) * own_way])
     own_points[:, 2] = -own_height
     if math.hypot(*(position[0, :2] - own_points[0, :2])) < APART_M:

@@ -11,12 +11,11 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from companion.arrays import Floats
+from companion.arrays import Floats, Integers
 from ground_tools.campaign.encounters.model import (
     ACCELERATION,
     CLASS,
@@ -28,6 +27,7 @@ from ground_tools.campaign.encounters.model import (
     Model,
     Variable,
 )
+from ground_tools.campaign.encounters.transitions import walk
 
 KNOT_MPS: Final = 1852.0 / 3600.0
 FOOT_M: Final = 0.3048
@@ -38,22 +38,23 @@ UNCONTROLLED: Final = 3
 _MOST_TRIES: Final = 10_000
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
-    """Motion of an aircraft from time 0 on, as a table for each step. Its heading begins at 0 (north) and its
-    position at the origin: `pairing` places it. SI units."""
+class Course(NamedTuple):
+    """Speeds and rates of a track, constant rates in each second; SI units."""
 
-    step_s: float
+    speeds: Floats
+    """(seconds + 1,): airspeed at the beginning of each second, and at the end; the air is still."""
+    rates: Floats
+    """(seconds, 3): acceleration (m/s^2), vertical rate (m/s) and turn rate (rad/s)."""
+
+
+class Track(NamedTuple):
+    """Motion of an aircraft, one row for each step. Its heading begins at 0 (north) and its position at the
+    origin: `pairing` places it. NED, m and m/s."""
+
     position: Floats
-    """(N + 1, 3): NED."""
+    """(N + 1, 3)."""
     velocity: Floats
-    """(N + 1, 3): NED."""
-    speed: Floats
-    """(N + 1,): airspeed, which is the speed over ground in still air."""
-    turn: Floats
-    """(seconds,): turn rate in each second, rad/s."""
-    climb: Floats
-    """(seconds,): vertical rate in each second, m/s."""
+    """(N + 1, 3)."""
 
 
 def draw_bin(rng: np.random.Generator, variable: Variable, bins: Sequence[int]) -> int | None:
@@ -162,69 +163,58 @@ def _percentiles(model: Model, variable: int, fixed: Mapping[int, int]) -> tuple
     return edges[low], edges[high + 1]
 
 
-def draw_track(rng: np.random.Generator, model: Model, seconds: int, step_s: float) -> Track | None:
-    """Draw a track that begins in the lowest layer (`draw_lowest`). None if it exceeds its limits (`limits`).
+def draw_course(rng: np.random.Generator, model: Model, seconds: int) -> Course | None:
+    """Draw a course that begins in the lowest layer (`draw_lowest`). None if it exceeds its `limits`.
 
     A first state whose vertical rate exceeds its airspeed is drawn again.
-
-    Args:
-        seconds: duration.
-        step_s: time between two rows of the track, a whole part of a second.
 
     Raises:
         ValueError: see `draw_lowest`.
     """
     speed_at, climb_at = model.at(SPEED), model.at(CLIMB)
     while True:
-        bins = draw_lowest(rng, model)
-        values = [draw_value(rng, model, i, bin_) for i, bin_ in enumerate(bins)]
-        if values[speed_at] * KNOT_MPS > abs(values[climb_at]) * FOOT_M / 60.0:
+        first = draw_lowest(rng, model)
+        start = [draw_value(rng, model, i, bin_) for i, bin_ in enumerate(first)]
+        if start[speed_at] * KNOT_MPS > abs(start[climb_at]) * FOOT_M / 60.0:
             break
-    most = limits(model, bins)
-    speeds, rates = [values[speed_at] * KNOT_MPS], [_rates(model, values)]
-    while True:
-        speeds.append(speeds[-1] + rates[-1][0])
-        if not most.least_mps <= min(speeds[-2:]) <= max(speeds[-2:]) <= most.most_mps:
-            return None
-        if abs(rates[-1][1]) > most.climb_mps:
-            return None
-        if len(rates) == seconds:
-            break
-        move_on(rng, model, bins, values)
-        rates.append(_rates(model, values))
-    return _integrated(np.array(speeds), np.array(rates), step_s)
+    _, values = states(rng, model, first, start, seconds)
+    units = {ACCELERATION: KNOT_MPS, CLIMB: FOOT_M / 60.0, TURN: math.pi / 180.0}
+    at = model.tables.at_t.tolist()
+    rates = np.column_stack([values[:, at.index(model.at(label))] * unit for label, unit in units.items()])
+    speeds = start[speed_at] * KNOT_MPS + np.append(0.0, np.cumsum(rates[:, 0]))
+    most = limits(model, first)
+    if speeds.min() < most.least_mps or speeds.max() > most.most_mps:
+        return None
+    return Course(speeds, rates) if np.abs(rates[:, 1]).max() <= most.climb_mps else None
 
 
-def _rates(model: Model, values: Sequence[float]) -> tuple[float, float, float]:
-    """Acceleration (m/s^2), vertical rate (m/s) and turn rate (rad/s)."""
-    return (
-        values[model.at(ACCELERATION)] * KNOT_MPS,
-        values[model.at(CLIMB)] * FOOT_M / 60.0,
-        math.radians(values[model.at(TURN)]),
-    )
-
-
-def move_on(rng: np.random.Generator, model: Model, bins: list[int], values: list[float]) -> None:
-    """Draw the dynamic variables one second later; `bins` and `values` are written."""
-    now = bins + [0] * len(model.next_order)
-    for later, at_t in model.next_order:
-        variable = model.next[later]
-        assert variable is not None, "a dynamic variable"
-        bin_ = draw_bin(rng, variable, now)
-        now[later] = bins[at_t] if bin_ is None else bin_
-    for later, at_t in model.next_order:
-        if now[later] != bins[at_t] or rng.random() < model.resample_rates[at_t]:
-            values[at_t] = draw_value(rng, model, at_t, now[later])
-        bins[at_t] = now[later]
-
-
-def _integrated(speeds: Floats, rates: Floats, step_s: float) -> Track:
-    """The track of constant rates in each second.
+def states(
+    rng: np.random.Generator, model: Model, first: Sequence[int], start: Sequence[float], seconds: int
+) -> tuple[Integers, Floats]:
+    """Draw what follows a first state.
 
     Args:
-        speeds: shape (seconds + 1,): airspeed at the beginning of each second, and at the end, m/s.
-        rates: shape (seconds, 3): acceleration, vertical rate, turn rate.
+        first, start: bins and values of the initial variables.
+
+    Returns:
+        The bins of the initial variables in each second, (seconds, variables), and the values of the dynamic
+        ones in the order of `model.tables`, (seconds, D), in the file's units. The first row is the given
+        state.
     """
+    bins = np.zeros((seconds, len(first)), np.int64)
+    values = np.zeros((seconds, len(model.tables.at_t)))
+    bins[0], values[0] = first, np.array(start)[model.tables.at_t]
+    walk(rng, model.tables, bins, np.zeros(len(model.next), np.int64), values)
+    return bins, values
+
+
+def integrated(course: Course, step_s: float) -> Track:
+    """The track of a course.
+
+    Args:
+        step_s: time between two rows of the track, a whole part of a second.
+    """
+    speeds, rates = course
     per_second = round(1.0 / step_s)
     headings = np.concatenate([[0.0], np.cumsum(rates[:, 2])])
     share = np.linspace(0.0, 1.0, per_second, endpoint=False)
@@ -237,7 +227,7 @@ def _integrated(speeds: Floats, rates: Floats, step_s: float) -> Track:
     # The vertical rate is constant within a second, and jumps at its end.
     position[1:, :2] = np.cumsum(0.5 * step_s * (velocity[1:, :2] + velocity[:-1, :2]), axis=0)
     position[1:, 2] = np.cumsum(step_s * velocity[:-1, 2])
-    return Track(step_s, position, velocity, speed, rates[:, 2], rates[:, 1])
+    return Track(position, velocity)
 
 
 def _filled(starts: Floats, slopes: Floats, share: Floats, last: float) -> Floats:
