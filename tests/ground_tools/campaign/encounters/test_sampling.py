@@ -234,8 +234,8 @@ def test_the_limits_of_the_small_model():
     ],
 )
 def test_speeds_and_turns_agree_with_another_reader(name, speeds, turns):
-    """The 5th, 50th and 95th percentile of 300 tracks that a reader written by others drew. The tolerance of a
-    percentile is three standard errors of 300 draws, half of the last digit, and a tenth for our own draws."""
+    """The 5th, 50th and 95th percentile of 300 tracks that another reader drew. The tolerance of a percentile
+    is three standard errors of 300 draws, half of the last digit, and a tenth for our own draws."""
     model = model_of(name)
     rng = np.random.default_rng(6)
     first = [sampling.draw_lowest(rng, model) for _ in range(3000)]
