@@ -40,9 +40,8 @@ UNHEARD, GEOMETRIC, BAROMETRIC = range(3)
     F_DEVIATION,  # largest distance of our own aircraft from its timed point, m
     F_ALERT,  # time of the first decision in conflict with the crewed aircraft, s; infinite: none
     F_BACK,  # distance from the timed point at the end, m
-    F_LATE,  # delay of the path at the end, s
     ENTRIES,
-) = range(5)
+) = range(4)
 _OWN, _OTHER = 0, 1
 _KINDS: Final = np.array([float(AVOIDS), float(CREWED)])
 
@@ -133,7 +132,6 @@ def _fly(
         result[F_DEVIATION] = max(result[F_DEVIATION], result[F_BACK])
     for c in range(3):
         trace[len(position) - 1, c] = craft.position[_OWN, c]
-    result[F_LATE] = state.delay_s
 
 
 @compiled(inline="always")

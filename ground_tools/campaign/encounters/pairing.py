@@ -51,8 +51,6 @@ class Encounter:
     """(N + 1, 3): track of the crewed aircraft, one row for each step, m."""
     velocity: Floats
     """(N + 1, 3): its velocity, m/s."""
-    tries: int
-    """Number of draws until the conditions were kept."""
 
 
 def draw(rng: np.random.Generator, model: Model, own_mps: float, window: Volume, step_s: float) -> Encounter:
@@ -66,18 +64,22 @@ def draw(rng: np.random.Generator, model: Model, own_mps: float, window: Volume,
     Raises:
         ValueError: the model has no counts where it was asked, or hardly ever meets the conditions.
     """
-    for tries in range(1, _MOST_TRIES + 1):
+    for _ in range(_MOST_TRIES):
         course = draw_course(rng, model, DURATION_S)
-        found = None if course is None else _placed(rng, model, course, (own_mps, window, step_s), tries)
+        found = None if course is None else _placed(rng, model, course, (own_mps, window, step_s))
         if found is not None:
             return found
     raise ValueError(f"the model {model.name} hardly ever flies at the height of our own aircraft")
 
 
 def _placed(
-    rng: np.random.Generator, model: Model, course: Course, wanted: tuple[float, Volume, float], tries: int
+    rng: np.random.Generator, model: Model, course: Course, wanted: tuple[float, Volume, float]
 ) -> Encounter | None:
-    """The encounter of a course; None if it does not keep the conditions."""
+    """The encounter of a course; None if it does not keep the conditions.
+
+    Args:
+        wanted: `own_mps`, `window` and `step_s` of `draw`.
+    """
     own_mps, window, step_s = wanted
     layers = [edge * FOOT_M for edge in model.bounds(LAYER)]
     own_height, start = rng.uniform(*OWN_HEIGHT_M), rng.uniform(layers[0], layers[1])
@@ -102,7 +104,7 @@ def _placed(
     own_points[:, 2] = -own_height
     if math.hypot(*(position[0, :2] - own_points[0, :2])) < APART_M:
         return None
-    return Encounter(weight, np.array([0.0, float(DURATION_S)]), own_points, position, velocity, tries)
+    return Encounter(weight, np.array([0.0, float(DURATION_S)]), own_points, position, velocity)
 
 
 def _heading(rng: np.random.Generator, velocity: Floats, own: Floats) -> tuple[float, float]:

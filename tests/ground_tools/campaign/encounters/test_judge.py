@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -16,7 +17,7 @@ FOOT_M = 0.3048
 
 def on_dense_points(relative, step_s, volume, points):
     """The same, from `points` single positions in each step; None: no position is inside."""
-    for i, (a, b) in enumerate(zip(relative[:-1], relative[1:], strict=True)):
+    for i, (a, b) in enumerate(itertools.pairwise(relative)):
         for j in range(points + 1):
             n, e, d = a + (b - a) * j / points
             if math.hypot(n, e) < volume.aside_m and abs(d) < volume.height_m:
