@@ -27,6 +27,7 @@ from ground_tools.campaign.encounters.sampling import FOOT_M, Course, Track, dra
 CONFLICT_S: Final = 180
 """From the beginning to the time at which the crewed aircraft passes the window."""
 DURATION_S: Final = 240
+BEYOND_S: Final = 60.0
 APART_M: Final = 1000.0
 """Least horizontal distance at the beginning: farther than the largest volume that the law keeps clear of, so
 that neither the law nor the judge begins inside."""
@@ -44,9 +45,10 @@ class Encounter:
     weight: float
     """Importance weight, m/s."""
     own_times_s: Floats
-    """(2,): begin and end, s."""
+    """(2,): beginning and end of the path of our own aircraft, s, `BEYOND_S` before and after those of the
+    encounter, because it neither starts nor stops in it."""
     own_points: Floats
-    """(2, 3): straight path of our own aircraft, m."""
+    """(2, 3): that straight path, m."""
     position: Floats
     """(N + 1, 3): track of the crewed aircraft, one row for each step, m."""
     velocity: Floats
@@ -100,11 +102,11 @@ def _placed(
     aside = rng.uniform(-window.aside_m, window.aside_m)
     place = aside / speed * np.array([-relative[1], relative[0]])
     position = position - position[at] + np.append(place, -height)
-    own_points = np.array([-CONFLICT_S * own_way, (DURATION_S - CONFLICT_S) * own_way])
-    own_points[:, 2] = -own_height
-    if math.hypot(*(position[0, :2] - own_points[0, :2])) < APART_M:
+    if math.hypot(*(position[0, :2] + CONFLICT_S * own_way[:2])) < APART_M:
         return None
-    return Encounter(weight, np.array([0.0, float(DURATION_S)]), own_points, position, velocity)
+    own_times = np.array([-BEYOND_S, DURATION_S + BEYOND_S])
+    own_points = (own_times[:, None] - CONFLICT_S) * own_way - [0.0, 0.0, own_height]
+    return Encounter(weight, own_times, own_points, position, velocity)
 
 
 def _heading(rng: np.random.Generator, velocity: Floats, own: Floats) -> tuple[float, float]:

@@ -54,7 +54,7 @@ def test_who_is_not_heard_is_not_avoided(capsys):
     assert (found["risk_ratio"], found["lowc_ratio"]) == (1.0, 1.0)
     assert (found["nmac_induced"], found["alerts"], found["late_alerts"]) == (0, 0, 40)
     assert found["alert_time_median_s"] is None
-    assert found["deviation_max_m"] < 15.0  # the error of GNSS
+    assert found["deviation_max_m"] < 8.0  # the error of GNSS
     assert (found["risk_ratio_limit"], found["lowc_ratio_limit"]) == (0.30, 0.50)
     lost = run(capsys, "--seeds", "1-40", "--loss", "1")
     far = run(capsys, "--seeds", "1-40", "--range", "1")
@@ -144,10 +144,10 @@ def test_our_aircraft_flies_its_path_within_its_limits(model):
     one = cell(model, own="10", horizontal_m=610.0, vertical_m=76.0)
     encounter = cells.draw(one, model, 2)
     unavoided, calm = cells.flown(one, encounter, 2, avoids=False)
-    share = np.linspace(0.0, 1.0, len(unavoided))[:, None]
-    path = encounter.own_points[0] + share * (encounter.own_points[1] - encounter.own_points[0])
+    times = np.linspace(0.0, pairing.DURATION_S, len(unavoided))
+    path = np.column_stack([np.interp(times, encounter.own_times_s, c) for c in encounter.own_points.T])
     assert np.linalg.norm(unavoided - path, axis=1).max() == pytest.approx(calm[flight.F_DEVIATION], abs=0.5)
-    assert calm[flight.F_DEVIATION] < 15.0
+    assert calm[flight.F_DEVIATION] < 6.0  # the error of GNSS alone: it neither starts nor stops
     avoided, result = cells.flown(one, encounter, 2, avoids=True)
     speed = np.linalg.norm(np.diff(avoided, axis=0), axis=1) / cells.WORLD.step_s
     assert speed.max() < 15.0 * 1.05

@@ -19,8 +19,8 @@ AT = round(pairing.CONFLICT_S / STEP_S)
 
 def own_at(encounter, rows):
     """Position of our own aircraft on its path, at every row."""
-    share = np.linspace(0.0, 1.0, rows)[:, None]
-    return encounter.own_points[0] + share * (encounter.own_points[1] - encounter.own_points[0])
+    times = np.linspace(0.0, pairing.DURATION_S, rows)
+    return np.column_stack([np.interp(times, encounter.own_times_s, c) for c in encounter.own_points.T])
 
 
 def drawn(model, own_mps, count, window=WELL_CLEAR):
@@ -37,8 +37,8 @@ def test_the_window_and_the_beginning(name, own_mps, window):
         track, own = encounter.position, own_at(encounter, len(encounter.position))
         assert len(track) == pairing.DURATION_S / STEP_S + 1
         np.testing.assert_allclose(own[AT], [0.0, 0.0, own[0, 2]], atol=1e-6)
-        speed = np.linalg.norm(np.diff(encounter.own_points, axis=0)) / pairing.DURATION_S
-        assert speed == pytest.approx(own_mps)
+        assert encounter.own_times_s.tolist() == [-60.0, 300.0]
+        assert np.linalg.norm(np.diff(encounter.own_points, axis=0)) / 360.0 == pytest.approx(own_mps)
         low, high = pairing.OWN_HEIGHT_M
         assert low <= -own[0, 2] <= high
         assert own[0, 2] == own[-1, 2]
