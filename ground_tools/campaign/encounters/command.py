@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numba
 import numpy as np
@@ -32,17 +32,8 @@ Part = tuple[Cell, Model, list[int]]
 Work = Callable[[Sequence[Part]], Iterator[tuple[Part, list[Row]]]]
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the subparsers of `ground-tools campaign`."""
-    command: argparse.ArgumentParser = commands.add_parser(
-        "encounters",
-        help="meet crewed aircraft drawn from MIT Lincoln Laboratory's encounter models",
-        description="Draw crewed aircraft from a published encounter model, meet them with and without "
-        "avoidance, and report the risk ratio and the ratio of losses of well clear.",
-        epilog="example: ground-tools campaign encounters --model uncor_1200only_rotorcraft_v1p2.txt "
-        "--own 10 --seeds 1-1000",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Add the options of `ground-tools campaign encounters`."""
     add = command.add_argument
     add("--model", type=Path, required=True, metavar="FILE", help="parameter file of an encounter model")
     add("--own", choices=OWN, default="hover",

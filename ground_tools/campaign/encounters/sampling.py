@@ -65,7 +65,7 @@ def draw_bin(rng: np.random.Generator, variable: Variable, bins: Sequence[int]) 
     sums = variable.cumulative[row]
     if sums[-1] == 0.0:
         return None
-    return bisect_right(sums, rng.random() * sums[-1])
+    return min(bisect_right(sums, rng.random() * sums[-1]), variable.bins - 1)  # rounded up
 
 
 def draw_value(rng: np.random.Generator, model: Model, variable: int, bin_: int) -> float:
@@ -120,7 +120,9 @@ def draw_lowest(rng: np.random.Generator, model: Model) -> list[int]:
         bins = draw_initial(rng, model, given)
         if bins is not None:
             return bins
-    raise ValueError(f"the model {model.name} hardly ever draws its lowest altitude layer")
+    raise ValueError(
+        f"the model {model.name} hardly ever draws its lowest altitude layer, outside classes B, C and D"
+    )
 
 
 class Limits(NamedTuple):
@@ -163,20 +165,27 @@ def _percentiles(model: Model, variable: int, fixed: Mapping[int, int]) -> tuple
     return edges[low], edges[high + 1]
 
 
+def _first(rng: np.random.Generator, model: Model) -> tuple[list[int], list[float]]:
+    """Bins and values of a first state in the lowest layer that does not climb faster than it flies."""
+    speed_at, climb_at = model.at(SPEED), model.at(CLIMB)
+    for _ in range(_MOST_TRIES):
+        bins = draw_lowest(rng, model)
+        values = [draw_value(rng, model, i, bin_) for i, bin_ in enumerate(bins)]
+        if values[speed_at] * KNOT_MPS > abs(values[climb_at]) * FOOT_M / 60.0:
+            return bins, values
+    raise ValueError(f"the model {model.name} nearly always climbs faster than it flies")
+
+
 def draw_course(rng: np.random.Generator, model: Model, seconds: int) -> Course | None:
     """Draw a course that begins in the lowest layer (`draw_lowest`). None if it exceeds its `limits`.
 
     A first state whose vertical rate exceeds its airspeed is drawn again.
 
     Raises:
-        ValueError: see `draw_lowest`.
+        ValueError: see `draw_lowest`; or nearly all first states climb faster than they fly.
     """
-    speed_at, climb_at = model.at(SPEED), model.at(CLIMB)
-    while True:
-        first = draw_lowest(rng, model)
-        start = [draw_value(rng, model, i, bin_) for i, bin_ in enumerate(first)]
-        if start[speed_at] * KNOT_MPS > abs(start[climb_at]) * FOOT_M / 60.0:
-            break
+    speed_at = model.at(SPEED)
+    first, start = _first(rng, model)
     _, values = states(rng, model, first, start, seconds)
     units = {ACCELERATION: KNOT_MPS, CLIMB: FOOT_M / 60.0, TURN: math.pi / 180.0}
     at = model.tables.at_t.tolist()

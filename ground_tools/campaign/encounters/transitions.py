@@ -55,6 +55,6 @@ def _drawn(rng: np.random.Generator, tables: Tables, d: int, now: Integers) -> i
     if total == 0.0:
         return int(now[tables.at_t[d]])
     wanted, found = rng.random() * total, 0
-    while tables.sums[start + found] <= wanted:
+    while found < width - 1 and tables.sums[start + found] <= wanted:
         found += 1
     return found

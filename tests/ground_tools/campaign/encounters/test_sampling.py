@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from ground_tools.campaign.encounters import sampling
-from ground_tools.campaign.encounters.model import ACCELERATION, CLASS, CLIMB, LAYER, SPEED, TURN
-from tests.support.encounter_models import NAMES, ROTORCRAFT, model_of
+from ground_tools.campaign.encounters.model import ACCELERATION, CLASS, CLIMB, LAYER, SPEED, TURN, parse
+from tests.support.encounter_models import NAMES, ROTORCRAFT, TINY, model_of
 
 LEVEL_Z = 3.29
 """One-sided normal quantile of the level 0.0005."""
@@ -257,6 +257,29 @@ def within(found, wanted):
         error = 3.0 * math.sqrt(share * (1.0 - share) / 300.0)
         low, high = np.quantile(found, [max(share - error, 0.0), min(share + error, 1.0)])
         assert low - 0.6 <= value <= high + 0.6, (share, low, high)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("1 8 1 3 4 3 4 2 4", "1 0 1 3 0 3 4 2 4", "nearly always climbs faster than it flies"),
+        ("# N_initial\n30 10", "# N_initial\n0 40", "hardly ever draws its lowest altitude layer"),
+        ("1 6 3 0 2 8", "0 0 0 0 2 8", "has no counts of v for bins of its parents"),
+    ],
+)
+def test_a_model_that_cannot_be_drawn_from_is_named(before, after, said, monkeypatch):
+    text = TINY.read_text()
+    assert text.count(before) == 1
+    text = text.replace(before, after).replace("0 40 80 120", "0 0.1 0.2 0.3")
+    monkeypatch.setattr(sampling, "_MOST_TRIES", 50)
+    model = parse(text, "tiny", "")
+
+    def draw_many():
+        for seed in range(200):
+            sampling.draw_course(np.random.default_rng(seed), model, 10)
+
+    with pytest.raises(ValueError, match=said):
+        draw_many()
 
 
 def test_a_steady_turn_is_a_circle():
