@@ -54,7 +54,7 @@ def test_the_campaign_flies_the_same(kind, aside_m, climb_mps, horizontal_m):
     campaign_flight.fly(
         np.random.default_rng(3), conditions, np.stack([OWN.arrays[0], other.arrays[0]]),
         np.stack([OWN.arrays[1], other.arrays[1]]), k.NO_WALLS, np.array([settings, crewed]), kinds, wanted,
-        campaign_flight.new_log(2), np.zeros((2, 2, outcome.PAIR_ENTRIES)), result,
+        outcome.new_log(2), np.zeros((2, 2, outcome.PAIR_ENTRIES)), result,
     )  # fmt: skip
     received = (flight.GEOMETRIC if kind == "geometric" else flight.BAROMETRIC), 1e6
     found, numbers = flight.fly(
