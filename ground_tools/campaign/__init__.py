@@ -7,6 +7,6 @@ and messages and `outcome` for the measurements. `twins` flies the cases in whic
 identity, `peers` holds the laws of others, `scenarios` intruders on missions and everyday traffic, and
 `fences` with `fence_attacks` tests whether an aircraft can be pushed out of its fence.
 `command` is the command line, `runs` flies what is missing and sums it up, `tables` produces the tables of
-docs/safety.md, and `run_folder` writes single flights for `ground-tools inspect`. Start reading with
-`cells.fly`, then `flight.fly`.
+docs/safety.md, and `run_folder` writes single flights for `ground-tools inspect`. `encounters` meets crewed
+aircraft that are drawn from published models. Start reading with `cells.fly`, then `flight.fly`.
 """

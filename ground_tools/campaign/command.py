@@ -18,6 +18,7 @@ from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import fences, run_folder, tables
 from ground_tools.campaign.attacks import command as attacks
 from ground_tools.campaign.cells import Cell
+from ground_tools.campaign.encounters import command as encounters
 from ground_tools.campaign.generators import NAMES
 from ground_tools.campaign.peers import command as peers
 from ground_tools.campaign.peers.laws import PEERS
@@ -85,6 +86,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     scenarios.add_arguments(command)
+    command = commands.add_parser(
+        "encounters",
+        help="meet crewed aircraft drawn from MIT Lincoln Laboratory's encounter models",
+        description="Draw crewed aircraft from a published encounter model, meet them with and without "
+        "avoidance, and report the risk ratio and the ratio of losses of well clear.",
+        epilog="example: ground-tools campaign encounters --model uncor_1200only_rotorcraft_v1p2.txt "
+        "--own 10 --seeds 1-1000",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    encounters.add_arguments(command)
 
 
 def _add_run(command: argparse.ArgumentParser) -> None:

@@ -1,0 +1,181 @@
+"""The encounters of one kind, and the outcome of each: drawn, flown without and with avoidance, judged."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from operator import attrgetter
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, get_args
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from companion.arrays import Floats
+from companion.avoidance import kernels as k
+from companion.avoidance.law import settings_of
+from companion.avoidance.trajectory import Trajectory
+from companion.config import AvoidanceConfig, LimitsConfig
+from companion.errors import ConfigError
+from ground_tools.campaign.encounters import flight, pairing
+from ground_tools.campaign.encounters.judge import NMAC, WELL_CLEAR, Volume, first_inside
+from ground_tools.campaign.encounters.model import Model
+from ground_tools.campaign.world import World
+from ground_tools.common.kept_lines import Kept
+from ground_tools.results import sources
+
+Own = Literal["hover", "5", "10", "15"]
+Altitude = Literal["geometric", "barometric", "unheard"]
+OWN: Final[tuple[Own, ...]] = get_args(Own)
+ALTITUDES: Final[tuple[Altitude, ...]] = get_args(Altitude)
+WORLD: Final = World(end_s=float(pairing.DURATION_S), delay_s=(0.2, 1.0), floor_m=20.0, ceiling_m=150.0)
+"""The campaign's world, between 20 and 150 m above ground."""
+SPEED_MPS: Final[dict[Own, float]] = {"hover": 0.0, "5": 5.0, "10": 10.0, "15": 15.0}
+RESERVE_MPS: Final = 5.0
+"""Greatest speed of our own aircraft beyond that of its path."""
+LEAST_MOST_MPS: Final = 10.0
+_RECEIVED: Final[dict[Altitude, int]] = {
+    "geometric": flight.GEOMETRIC,
+    "barometric": flight.BAROMETRIC,
+    "unheard": flight.UNHEARD,
+}
+
+
+class Cell(msgspec.Struct, frozen=True, kw_only=True):
+    """Encounters of one kind. They differ only in their seeds."""
+
+    model: str
+    """Name of the model, and first digits of the SHA-256 of its file."""
+    digest: str
+    own: Own = "hover"
+    """Speed of our own aircraft over ground, m/s."""
+    altitude: Altitude = "geometric"
+    """Altitude that the crewed aircraft sends; unheard: it sends nothing."""
+    horizontal_m: Annotated[float, Meta(gt=0)] = AvoidanceConfig().crewed_horizontal_m
+    """Separation from crewed traffic that the law keeps."""
+    vertical_m: Annotated[float, Meta(gt=0)] = AvoidanceConfig().crewed_vertical_m
+    loss: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    """Share of messages that are lost."""
+    range_m: Annotated[float, Meta(gt=0)] = 50_000.0
+    """Distance within which messages are received."""
+    aside_m: Annotated[float, Meta(gt=0)] = WELL_CLEAR.aside_m
+    """Window through which the crewed aircraft passes: distance to the side, and in height."""
+    height_m: Annotated[float, Meta(gt=0)] = WELL_CLEAR.height_m
+
+    @property
+    def limits(self) -> LimitsConfig:
+        """Limits of our own aircraft."""
+        speed = max(SPEED_MPS[self.own] + RESERVE_MPS, LEAST_MOST_MPS)
+        return LimitsConfig(max_speed_mps=speed)
+
+
+class Row(msgspec.Struct, frozen=True, array_like=True):
+    """Outcome of one encounter."""
+
+    seed: int
+    weight: float
+    """Importance weight."""
+    nmac: bool
+    """Whether it ended in a near mid-air collision; `_unavoided`: without avoidance."""
+    nmac_unavoided: bool
+    lowc_s: float | None
+    """When well clear was first lost; None: never."""
+    lowc_unavoided_s: float | None
+    alert_s: float | None
+    """When the law first saw a conflict with the crewed aircraft; None: never."""
+    deviation_m: float
+    """Largest distance of our own aircraft from its timed point."""
+    back_m: float
+    """The same at the end."""
+
+
+def fly(cell: Cell, model: Model, seeds: Sequence[int]) -> list[Row]:
+    """Fly the encounters of a cell for the given seeds.
+
+    Raises:
+        ConfigError: the model cannot be drawn from.
+    """
+    return [_fly(cell, model, seed) for seed in seeds]
+
+
+def draw(cell: Cell, model: Model, seed: int) -> pairing.Encounter:
+    """The encounter of a seed. It depends on model, own speed and window alone.
+
+    Raises:
+        ConfigError: the model cannot be drawn from.
+    """
+    window = Volume(cell.aside_m, cell.height_m)
+    rng = np.random.default_rng([seed, 11])
+    try:
+        return pairing.draw(rng, model, SPEED_MPS[cell.own], window, WORLD.step_s)
+    except ValueError as error:
+        raise ConfigError(f"--model: {error}") from error
+
+
+def warm_up() -> None:
+    """Compile, or load from the cache, the code of a flight."""
+    still = np.zeros((2, 3))
+    path = Trajectory([0.0, 1.0], [(0.0, 0.0, -80.0)] * 2)
+    law = settings_of(AvoidanceConfig(), LimitsConfig(), path)
+    conditions = WORLD.conditions(AvoidanceConfig().period_s)
+    flight.fly(np.random.default_rng(1), conditions, path.arrays, (still, still), law, (flight.UNHEARD, 1.0))
+
+
+def flown(cell: Cell, encounter: pairing.Encounter, seed: int, *, avoids: bool) -> tuple[Floats, Floats]:
+    """Fly an encounter with or without avoidance. Returns what `flight.fly` does."""
+    own = encounter.own_times_s, encounter.own_points
+    path = Trajectory(encounter.own_times_s.tolist(), encounter.own_points.tolist())
+    avoidance = AvoidanceConfig(crewed_horizontal_m=cell.horizontal_m, crewed_vertical_m=cell.vertical_m)
+    law = settings_of(avoidance, cell.limits, path)
+    return flight.fly(
+        np.random.default_rng([seed, 7]),  # the same with and without, so that they differ in the law alone
+        msgspec.structs.replace(WORLD, loss=cell.loss).conditions(avoidance.period_s),
+        own,
+        (encounter.position, encounter.velocity),
+        law if avoids else law._replace(law=k.NONE),
+        (_RECEIVED[cell.altitude], cell.range_m),
+    )
+
+
+def _fly(cell: Cell, model: Model, seed: int) -> Row:
+    encounter = draw(cell, model, seed)
+    avoided, result = flown(cell, encounter, seed, avoids=True)
+    unavoided, _ = flown(cell, encounter, seed, avoids=False)
+    lost, lost_unavoided = (
+        first_inside(encounter.position - own, WORLD.step_s, WELL_CLEAR) for own in (avoided, unavoided)
+    )
+    hit, hit_unavoided = (
+        first_inside(encounter.position - own, WORLD.step_s, NMAC) is not None for own in (avoided, unavoided)
+    )
+    return Row(
+        seed=seed,
+        weight=round(encounter.weight, 6),
+        nmac=hit,
+        nmac_unavoided=hit_unavoided,
+        lowc_s=None if lost is None else round(lost, 3),
+        lowc_unavoided_s=None if lost_unavoided is None else round(lost_unavoided, 3),
+        alert_s=round(alert, 3) if (alert := float(result[flight.F_ALERT])) < WORLD.end_s else None,
+        deviation_m=round(float(result[flight.F_DEVIATION]), 3),
+        back_m=round(float(result[flight.F_BACK]), 3),
+    )
+
+
+def kept(folder: Path, cell: Cell) -> Kept[Row]:
+    """The stored results of a cell, its rows by seed.
+
+    Args:
+        folder: an existing folder.
+
+    Raises:
+        ConfigError: the results come from another state of law, world or model, or cannot be read.
+    """
+    made_with: dict[str, Any] = {**msgspec.to_builtins(cell), "software": software()}
+    digest = hashlib.sha256(msgspec.json.encode(cell)).hexdigest()[:8]
+    name = f"{cell.model}-{cell.own}-{cell.altitude}-{digest}"
+    return Kept(folder / f"{name}.jsonl", made_with, Row, attrgetter("seed"))
+
+
+def software() -> str:
+    """Digest of the code on which the outcomes depend."""
+    return sources.digest(["ground_tools.campaign.encounters.cells"])

@@ -1,0 +1,173 @@
+"""The command `ground-tools campaign encounters`: meets aircraft drawn from published encounter models."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import numba
+import numpy as np
+from rich.console import Console
+
+from companion.errors import ConfigError
+from ground_tools.campaign.encounters import cells, pairing, report
+from ground_tools.campaign.encounters.cells import ALTITUDES, OWN, Cell, Row
+from ground_tools.campaign.encounters.model import Model, read
+from ground_tools.channel import options
+from ground_tools.common.cluster import on_ray
+from ground_tools.common.kept_lines import Kept
+from ground_tools.common.progress import progress
+from ground_tools.common.run_options import processes_of, seeds_of
+from ground_tools.common.workers import in_parallel
+
+_AT_ONCE: Final = 50
+"""Encounters that a worker flies before it returns their results."""
+
+Part = tuple[Cell, Model, list[int]]
+"""One unit of work for a worker: some seeds of a cell."""
+Work = Callable[[Sequence[Part]], Iterator[tuple[Part, list[Row]]]]
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Add the options of `ground-tools campaign encounters`."""
+    add = command.add_argument
+    add("--model", type=Path, required=True, metavar="FILE", help="parameter file of an encounter model")
+    add("--own", choices=OWN, default="hover",
+        help="speed of the own aircraft in m/s (default: hover)")  # fmt: skip
+    add("--altitude", choices=ALTITUDES, default="geometric",
+        help="altitude that the crewed aircraft sends by ADS-B; unheard: it sends nothing (default: "
+        "geometric)")  # fmt: skip
+    separations = Cell(model="", digest="")
+    add("--separation", type=float, nargs=2, metavar=("H", "V"),
+        default=(separations.horizontal_m, separations.vertical_m),
+        help="avoidance.crewed_horizontal_m and crewed_vertical_m of the law (default: "
+        f"{separations.horizontal_m:g} {separations.vertical_m:g})")  # fmt: skip
+    add("--loss", type=float, default=0.0, metavar="SHARE",
+        help="share of ADS-B messages that are lost, 0 to 1 (default: 0)")  # fmt: skip
+    add("--range", type=float, default=separations.range_m, metavar="M",
+        help=f"distance within which ADS-B is received (default: {separations.range_m:g})")  # fmt: skip
+    add("--window", type=float, nargs=2, metavar=("H", "V"),
+        default=(separations.aside_m, separations.height_m),
+        help="the crewed aircraft passes within these distances to the side and in height, m (default: "
+        f"{separations.aside_m:g} {separations.height_m:g}, the volume of well clear)")  # fmt: skip
+    add("--seeds", default="1-1000", metavar="FROM-TO",
+        help="range of seeds, one encounter each (default: 1-1000)")  # fmt: skip
+    add("--out", type=Path, metavar="FOLDER",
+        help="keep results in this folder, and do not repeat encounters whose results are there")  # fmt: skip
+    add("--processes", type=int, metavar="N", help="worker processes (default: one per core)")
+    add("--ray", metavar="ADDRESS",
+        help="fly on a Ray cluster: HOST:PORT on a machine of the cluster, "
+        "ray://HOST:PORT elsewhere")  # fmt: skip
+    add("--json", action="store_true", help="print one JSON object instead of text")
+    command.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `ground-tools campaign encounters`. Returns 0.
+
+    Raises:
+        ConfigError: an option or the model's file is wrong, or a file cannot be read or written.
+    """
+    seeds = seeds_of(args.seeds)
+    model = read(args.model)
+    cell = _cell(args, model)
+    began = time.perf_counter()
+    rows, flown = fly_missing(cell, model, seeds, args.out, _work(args, Console(stderr=True)))
+    found = report.summary(cell, rows)
+    wall = time.perf_counter() - began
+    found |= {"flown": flown, "wall_s": round(wall, 3), "flight_s": 2 * flown * pairing.DURATION_S}
+    if args.json:
+        print(json.dumps(found, allow_nan=False))
+        return 0
+    words = Console()
+    for line in [*report.lines(cell, found), f"{flown:,} encounters flown in {wall:.1f} s"]:
+        words.print(line, highlight=False, soft_wrap=True)
+    return 0
+
+
+def fly_missing(
+    cell: Cell, model: Model, seeds: Sequence[int], folder: Path | None, work: Work
+) -> tuple[list[Row], int]:
+    """Fly the seeds that the folder does not hold. Returns the rows of all, in their order, and the number
+    flown.
+
+    Args:
+        folder: folder in which rows are stored and looked up; None: rows are not stored.
+        work: see `_work`.
+
+    Raises:
+        ConfigError: a file cannot be read or written, or the model cannot be drawn from.
+    """
+    file: Kept[Row] | None = None
+    rows: dict[int, Row] = {}
+    if folder is not None:
+        options.make_folder(folder)
+        file = cells.kept(folder, cell)
+        rows = dict(file.rows)
+    missing = [seed for seed in seeds if seed not in rows]
+    parts = [(cell, model, missing[at : at + _AT_ONCE]) for at in range(0, len(missing), _AT_ONCE)]
+    with progress("encounters", len(parts)) as advance:
+        for _, found in work(parts):
+            if file is not None:
+                file.add(found)
+            rows.update((row.seed, row) for row in found)
+            advance()
+    return [rows[seed] for seed in seeds], len(missing)
+
+
+def _work(args: argparse.Namespace, words: Console) -> Work:
+    """The function that flies: with processes of this machine or on a cluster."""
+    if args.ray is None:
+        processes = processes_of(args.processes)
+
+        def here(parts: Sequence[Part]) -> Iterator[tuple[Part, list[Row]]]:
+            if parts:
+                cells.warm_up()  # compiles once, for all workers
+            return in_parallel(_fly, parts, processes, words)
+
+        return here
+    if args.processes is not None:
+        raise ConfigError("--processes cannot be combined with --ray, which uses all CPUs of the cluster")
+    return lambda parts: on_ray(_fly, parts, args.ray, _state, words)
+
+
+def _fly(part: Part) -> list[Row]:
+    return cells.fly(*part)
+
+
+def _state() -> str:
+    """The versions of all software that the rows depend on. Also compiles the flight code once, so that the
+    cached result serves the other workers of the machine."""
+    cells.warm_up()
+    return f"{cells.software()}, numba {numba.__version__}, numpy {np.__version__}"
+
+
+def _cell(args: argparse.Namespace, model: Model) -> Cell:
+    horizontal, vertical = args.separation
+    aside, height = args.window
+    for option, value, least, most in (
+        ("separation", horizontal, 1.0, 5000.0),
+        ("separation", vertical, 1.0, 1000.0),
+        ("loss", args.loss, 0.0, 1.0),
+        ("range", args.range, 1.0, 1e6),
+        ("window", aside, 1.0, 5000.0),
+        ("window", height, 1.0, 1000.0),
+    ):
+        if not least <= value <= most:
+            raise ConfigError(f"--{option}: {value:g} is out of range; allowed: {least:g} to {most:g}")
+    return Cell(
+        model=model.name,
+        digest=model.digest,
+        own=args.own,
+        altitude=args.altitude,
+        horizontal_m=horizontal,
+        vertical_m=vertical,
+        loss=args.loss,
+        range_m=args.range,
+        aside_m=aside,
+        height_m=height,
+    )

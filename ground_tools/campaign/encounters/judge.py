@@ -1,0 +1,63 @@
+"""Whether two aircraft came into each other's volume: near mid-air collision, and loss of well clear.
+
+Both volumes are cylinders: a distance to the side and one in height that must be undercut at the same time.
+ASTM F3442 takes 500 ft and 100 ft for the near mid-air collision (NMAC) and 2,000 ft and 250 ft for well
+clear of a small uncrewed and a crewed aircraft.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from companion.arrays import Floats
+from ground_tools.campaign.encounters.sampling import FOOT_M
+
+
+class Volume(NamedTuple):
+    """A cylinder around an aircraft, m."""
+
+    aside_m: float
+    """Its radius."""
+    height_m: float
+    """Half of its height."""
+
+
+NMAC: Final = Volume(500.0 * FOOT_M, 100.0 * FOOT_M)
+WELL_CLEAR: Final = Volume(2000.0 * FOOT_M, 250.0 * FOOT_M)
+
+
+def first_inside(relative: Floats, step_s: float, volume: Volume) -> float | None:
+    """When one aircraft is first inside the volume of the other one, s after the first row; None: never.
+
+    The motion between two rows is taken as straight, and the volume is exact for it: it is entered where both
+    distances are undercut at the same time, also between two rows.
+
+    Args:
+        relative: shape (N, 3): position of one minus that of the other, one row for each step, m.
+    """
+    p, d = relative[:-1], np.diff(relative, axis=0)
+    level_in, level_out = _within(
+        (d[:, :2] ** 2).sum(axis=1),
+        (p[:, :2] * d[:, :2]).sum(axis=1),
+        (p[:, :2] ** 2).sum(axis=1) - volume.aside_m**2,
+    )
+    height_in, height_out = _within(d[:, 2] ** 2, p[:, 2] * d[:, 2], p[:, 2] ** 2 - volume.height_m**2)
+    enters = np.maximum(np.maximum(level_in, height_in), 0.0)
+    leaves = np.minimum(np.minimum(level_out, height_out), 1.0)
+    inside = np.flatnonzero(enters < leaves)
+    return float((inside[0] + enters[inside[0]]) * step_s) if len(inside) else None
+
+
+def _within(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
+    """Where a s^2 + 2 b s + c is below 0, with a from 0: from and to. From infinity to minus infinity where
+    it nowhere is."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = np.sqrt(b * b - a * c)
+        low, high = (-b - root) / a, (-b + root) / a
+    still = a == 0.0  # then b is 0 too
+    low = np.where(still, np.where(c < 0.0, -np.inf, np.inf), low)
+    high = np.where(still, np.where(c < 0.0, np.inf, -np.inf), high)
+    nowhere = np.isnan(low)
+    return np.where(nowhere, np.inf, low), np.where(nowhere, -np.inf, high)

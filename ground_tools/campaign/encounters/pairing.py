@@ -1,0 +1,139 @@
+"""Places a track so that it meets our own aircraft: one encounter, with its importance weight.
+
+Both aircraft move independently of each other until one avoids (an uncorrelated encounter). `CONFLICT_S`
+after the beginning the crewed aircraft passes ours within a window: uniform to the side, perpendicular to the
+relative motion, and in height as the track and the layer have it. Draws that do not keep the conditions are
+repeated as a whole. So do em-pairing-geospatial and em-pairing-uncor-importancesampling of MIT Lincoln
+Laboratory (BSD 2-Clause, X11).
+
+The number of aircraft that pass the window is proportional to their relative speed. The relative heading is
+drawn in proportion to it, and the weight of an encounter is what remains: its mean over all headings (as in
+`initializeUncorrelatedEncounter.m`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from companion.arrays import Floats
+from ground_tools.campaign.encounters.judge import Volume
+from ground_tools.campaign.encounters.model import LAYER, Model
+from ground_tools.campaign.encounters.sampling import FOOT_M, Course, Track, draw_course, integrated
+
+CONFLICT_S: Final = 180
+"""From the beginning to the time at which the crewed aircraft passes the window."""
+DURATION_S: Final = 240
+BEYOND_S: Final = 60.0
+APART_M: Final = 1000.0
+"""Least horizontal distance at the beginning: farther than the largest volume that the law keeps clear of, so
+that neither the law nor the judge begins inside."""
+OWN_HEIGHT_M: Final = (60.0, 110.0)
+"""Height of our own aircraft above ground."""
+_HEADINGS: Final = 360
+"""Headings over which the mean of the relative speed is taken."""
+_MOST_TRIES: Final = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class Encounter:
+    """One encounter as it was drawn. NED; the ground is at down 0."""
+
+    weight: float
+    """Importance weight, m/s."""
+    own_times_s: Floats
+    """(2,): beginning and end of the path of our own aircraft, s, `BEYOND_S` before and after those of the
+    encounter, because it neither starts nor stops in it."""
+    own_points: Floats
+    """(2, 3): that straight path, m."""
+    position: Floats
+    """(N + 1, 3): track of the crewed aircraft, one row for each step, m."""
+    velocity: Floats
+    """(N + 1, 3): its velocity, m/s."""
+
+
+def draw(rng: np.random.Generator, model: Model, own_mps: float, window: Volume, step_s: float) -> Encounter:
+    """Draw an encounter.
+
+    Args:
+        own_mps: speed of our own aircraft over ground; 0: it hovers.
+        window: distances to the side and in height within which the crewed aircraft passes.
+        step_s: time between two rows of the track.
+
+    Raises:
+        ValueError: the model has no counts where it was asked, or hardly ever meets the conditions.
+    """
+    for _ in range(_MOST_TRIES):
+        course = draw_course(rng, model, DURATION_S)
+        found = None if course is None else _placed(rng, model, course, (own_mps, window, step_s))
+        if found is not None:
+            return found
+    raise ValueError(f"the model {model.name} hardly ever flies at the height of our own aircraft")
+
+
+def _placed(
+    rng: np.random.Generator, model: Model, course: Course, wanted: tuple[float, Volume, float]
+) -> Encounter | None:
+    """The encounter of a course; None if it does not keep the conditions.
+
+    Args:
+        wanted: `own_mps`, `window` and `step_s` of `draw`.
+    """
+    own_mps, window, step_s = wanted
+    layers = [edge * FOOT_M for edge in model.bounds(LAYER)]
+    own_height, start = rng.uniform(*OWN_HEIGHT_M), rng.uniform(layers[0], layers[1])
+    heights = start + np.append(0.0, np.cumsum(course.rates[:, 1]))
+    height = float(heights[CONFLICT_S])
+    passed = abs(height - own_height) <= window.height_m
+    if not passed or heights.min() < layers[0] or heights.max() > layers[-1]:
+        return None
+    track, at = integrated(course, step_s), round(CONFLICT_S / step_s)
+    own_heading = rng.uniform(0.0, 2.0 * math.pi)
+    own_way = own_mps * np.array([math.cos(own_heading), math.sin(own_heading), 0.0])
+    heading, weight = _heading(rng, track.velocity[at], own_way)
+    position, velocity = _turned(track, at, heading)
+    relative = velocity[at, :2] - own_way[:2]
+    speed = math.hypot(*relative)
+    if speed == 0.0:
+        return None
+    aside = rng.uniform(-window.aside_m, window.aside_m)
+    place = aside / speed * np.array([-relative[1], relative[0]])
+    position = position - position[at] + np.append(place, -height)
+    if math.hypot(*(position[0, :2] + CONFLICT_S * own_way[:2])) < APART_M:
+        return None
+    own_times = np.array([-BEYOND_S, DURATION_S + BEYOND_S])
+    own_points = (own_times[:, None] - CONFLICT_S) * own_way - [0.0, 0.0, own_height]
+    return Encounter(weight, own_times, own_points, position, velocity)
+
+
+def _heading(rng: np.random.Generator, velocity: Floats, own: Floats) -> tuple[float, float]:
+    """A heading of the crewed aircraft, drawn in proportion to the relative speed, and the mean of the
+    relative speed over all headings.
+
+    Args:
+        velocity, own: velocities, NED; of the first only the size of its horizontal part counts.
+    """
+    level = math.hypot(velocity[0], velocity[1])
+
+    def relative(heading: float) -> float:
+        n, e = level * math.cos(heading) - own[0], level * math.sin(heading) - own[1]
+        return math.hypot(n, e, velocity[2] - own[2])
+
+    mean = sum(relative(i * 2.0 * math.pi / _HEADINGS) for i in range(_HEADINGS)) / _HEADINGS
+    most = math.hypot(level + math.hypot(own[0], own[1]), velocity[2] - own[2])
+    while True:
+        heading = rng.uniform(0.0, 2.0 * math.pi)
+        if rng.random() * most <= relative(heading):
+            return heading, mean
+
+
+def _turned(track: Track, at: int, heading: float) -> tuple[Floats, Floats]:
+    """Positions and velocities of a track, turned so that it has a heading at a row."""
+    n, e = track.velocity[at, :2].tolist()
+    turn = heading - math.atan2(e, n)
+    c, s = math.cos(turn), math.sin(turn)
+    matrix = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return track.position @ matrix.T, track.velocity @ matrix.T

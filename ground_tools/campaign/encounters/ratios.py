@@ -1,0 +1,59 @@
+"""Risk ratios: how much more rarely something happens with avoidance than without, with intervals.
+
+An encounter counts with its importance weight, both times. The interval of a weighted share is Wilson's, for
+the effective number of encounters `sum(w)^2 / sum(w^2)` (Kish). That of the ratio follows from both shares'
+intervals and their correlation, because the same encounters are flown with and without avoidance: the method
+of variance estimates recovery (A. Donner, G. Y. Zou: Closed-form confidence intervals for functions of the
+normal mean and standard deviation, 2012).
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.arrays import Bools, Floats
+from ground_tools.common.intervals import Z
+
+
+def effective(weights: Floats) -> float:
+    """Effective number of encounters."""
+    return float(weights.sum() ** 2 / (weights**2).sum())
+
+
+def ratio(avoided: Bools, unavoided: Bools, weights: Floats) -> float | None:
+    """The weighted ratio of what happened with and without avoidance; None if it never happened without."""
+    below = float(weights[unavoided].sum())
+    return float(weights[avoided].sum()) / below if below > 0.0 else None
+
+
+def interval(avoided: Bools, unavoided: Bools, weights: Floats) -> tuple[float, float] | None:
+    """95 % interval of `ratio`; None where there is no ratio."""
+    if not unavoided.any():
+        return None
+    total, n = float(weights.sum()), effective(weights)
+    p, q = float(weights[avoided].sum()) / total, float(weights[unavoided].sum()) / total
+    both = float(weights[avoided & unavoided].sum()) / total
+    spread = math.sqrt(max(p * (1.0 - p) * q * (1.0 - q), 0.0))
+    r = min(max((both - p * q) / spread, -1.0), 1.0) if spread > 0.0 else 0.0
+    (p_low, p_high), (q_low, q_high) = wilson(p, n), wilson(q, n)
+    low = _bound(p, q, r, p_low, q_high, -1.0)
+    return low, _bound(p, q, r, p_high, q_low, 1.0)
+
+
+def _bound(p: float, q: float, r: float, p_end: float, q_end: float, sign: float) -> float:
+    """The lower (sign -1) or upper (sign 1) bound of p / q, from the opposite ends of both intervals."""
+    a = q_end * (2.0 * q - q_end)
+    b = p * q - r * (p_end - p) * (q - q_end)
+    c = p_end * (2.0 * p - p_end)
+    root = math.sqrt(max(b * b - a * c, 0.0))
+    if sign < 0.0:  # the smaller root, in the form that needs no division by a, which may be 0
+        return max(c / (b + root), 0.0) if b + root > 0.0 else 0.0
+    return (b + root) / a
+
+
+def wilson(share: float, count: float) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share of an effective number of encounters."""
+    z2 = Z * Z / count
+    middle = (share + 0.5 * z2) / (1.0 + z2)
+    half = Z / (1.0 + z2) * math.sqrt(share * (1.0 - share) / count + 0.25 * z2 / count)
+    return max(middle - half, 0.0) if share > 0.0 else 0.0, min(middle + half, 1.0) if share < 1.0 else 1.0
