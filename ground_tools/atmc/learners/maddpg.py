@@ -50,6 +50,9 @@ class MaddpgSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     task: TaskSettings = TaskSettings()
     episodes: Count = 1000
     batch: Count = 256
+    actor_batch: Count = 64
+    """Steps of each batch from which the actors learn. With "exact" each of them costs as many evaluations of
+    the critics as there are actions."""
     buffer_steps: Count = 25_000
     """Capacity of the replay buffer in steps. Learning begins when it is full."""
     learn_every: Count = 20
@@ -182,8 +185,9 @@ class Maddpg(PaperLearner):
     def _improve(self, batch: Batch, taken: Tensor) -> None:
         """Update the actors once: each actor's new choice replaces its taken one; the others keep theirs."""
         s = self.settings
-        logits = self.actor(batch.seen)
-        x = torch.cat([batch.seen, taken], -1).transpose(0, 1).reshape(1, s.batch, -1)
+        seen, taken = batch.seen[:, : s.actor_batch], taken[:, : s.actor_batch]
+        logits = self.actor(seen)
+        x = torch.cat([seen, taken], -1).transpose(0, 1).reshape(1, seen.shape[1], -1)
         each = torch.arange(self._uavs, device=x.device)
         with torch.no_grad():
             weight, bias = self.critic.weights[0], self.critic.biases[0]

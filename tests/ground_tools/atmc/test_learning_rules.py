@@ -297,24 +297,25 @@ def test_a_maddpg_update_is_worked_out_by_hand(filled):
 
 
 def test_an_exact_maddpg_gradient_is_the_sum_over_all_choices():
-    learner = full_maddpg(policy_gradient="exact", reward="log", first_entropy=0.3)
+    learner = full_maddpg(policy_gradient="exact", reward="log", first_entropy=0.3, actor_batch=10)
     s, generator = learner.settings, twin(learner._generator)
     actor = copy.deepcopy(learner.actor)
     rewards = learner.replay.reward
     assert rewards.unique().tolist() == pytest.approx([-math.log(4.02), -math.log(0.02)])
     batch = learner.replay.sample_steps(16, generator)
-    taken = functional.one_hot(batch.action, ACTIONS).float()
+    seen = batch.seen[:, :10]
+    taken = functional.one_hot(batch.action, ACTIONS).float()[:, :10]
 
     learner._learn()
 
     loss = torch.zeros(())
     for n in range(3):
-        logits = alone(actor, n, batch.seen[n])
+        logits = alone(actor, n, seen[n])
         share = torch.softmax(logits, -1)
         for action in range(ACTIONS):
             choice = taken.clone()
             choice[n] = functional.one_hot(torch.tensor(action), ACTIONS).float()
-            value = alone(learner.critic, n, together(batch.seen, choice))[:, 0].detach()
+            value = alone(learner.critic, n, together(seen, choice))[:, 0].detach()
             loss = loss - (share[:, action] * value).mean()
         entropy = -(share * share.log()).sum(-1)
         loss = loss - 0.3 * entropy.mean() + s.logit_cost * logits.square().mean()
