@@ -3,10 +3,17 @@
 Each aircraft has an actor, which takes the observation of that aircraft, and a critic, which in training
 takes the observations and actions of all aircraft.
 
-Choices are discrete. An actor gives logits, and a choice is drawn by the straight-through Gumbel-softmax: one
-choice in the forward pass, the softmax in the backward pass. This sampling is the only exploration. Rewards
-are standardised by their mean and standard deviation over the first full buffer. As in MADQN-ATMC, the buffer
-holds 250 episodes, learning begins when it is full, and the last step of an episode does not end the task.
+Choices are discrete, and an actor gives logits. There are two gradients for the actors (`policy_gradient`):
+
+- "exact": the expected value of the aircraft's choice, which is the sum over all actions of their
+  probabilities times their values. The critic gives the value of each action, with the choices of the other
+  aircraft as they were taken.
+- "gumbel": the straight-through Gumbel-softmax of discrete MADDPG, one sampled choice in the forward pass and
+  its softmax in the backward pass. The critic is then asked for a slope at corners, where it has learned
+  values only, and an actor that has become sure of a mode receives no gradient any more.
+
+As in MADQN-ATMC, the buffer holds 250 episodes, learning begins when it is full, and the last step of an
+episode does not end the task.
 
 All aircraft learn from the same sampled steps, and a critic's first layer is linear. The fleet's observations
 and actions therefore pass through it once; a different action of one aircraft only adds one row of weights
@@ -15,7 +22,7 @@ and subtracts another.
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 import torch
@@ -23,12 +30,14 @@ from msgspec import Meta
 from torch import Tensor
 from torch.nn import functional
 
-from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings
+from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings, Weight
 from ground_tools.atmc.learners.flat import Stack, clipped, soft_update
 from ground_tools.atmc.learners.paper_learner import PaperLearner
 from ground_tools.atmc.learners.replay_buffer import Batch, Replay
 
 Rate = Annotated[float, Meta(gt=0)]
+_LEAST_DELAY_S: Final = 0.02
+"""Added to a delay before its logarithm is taken. It is shorter than any delay that matters."""
 
 
 class MaddpgSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -41,19 +50,40 @@ class MaddpgSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     task: TaskSettings = TaskSettings()
     episodes: Count = 1000
     batch: Count = 256
+    actor_batch: Count = 64
+    """Steps of each batch from which the actors learn. With "exact" each of them costs as many evaluations of
+    the critics as there are actions."""
     buffer_steps: Count = 25_000
     """Capacity of the replay buffer in steps. Learning begins when it is full."""
-    learn_every: Count = 5
-    """Steps from one update to the next; the original uses 100 samples."""
-    discount: Share = 0.95
+    learn_every: Count = 20
+    """Steps from one update to the next; the original uses 100 steps."""
+    discount: Share = 0.0
+    """0 because positions are drawn anew at every step: what follows depends on an action only through the
+    previous actions that are observed."""
     actor_rate: Rate = 3e-4
     critic_rate: Rate = 1e-3
     soft_update: Share = 0.01
     """Share of the network in the target network after an update, as in the original. The paper's 0.999 does
     not make the target network slow, and an actor that follows a critic needs a slow one."""
+    policy_gradient: Literal["exact", "gumbel"] = "exact"
+    """Gradient of the actors; see the module's docstring."""
     temperature: Rate = 1.0
-    """Temperature of the softmax in the backward pass."""
-    logit_cost: Annotated[float, Meta(ge=0)] = 1e-3
+    """Temperature of the softmax in the backward pass of "gumbel"."""
+    entropy: Rate = 0.05
+    """Weight of the entropy of the choices, which is subtracted from the actors' loss, in the end."""
+    first_entropy: Rate = 1.0
+    """The same when learning begins. The critics learn first which modes are good everywhere. An actor that
+    follows them at once becomes sure of one of these, and an actor that is sure hardly learns any more."""
+    entropy_episodes: Count = 200
+    """Episodes of learning over which the weight changes from the first to the last, by the same factor in
+    each."""
+    exploration: Share = 0.1
+    """Share of uniformly random choices once learning has begun; before that all choices are random."""
+    reward: Literal["log", "standardised"] = "log"
+    """What the critics learn: minus the logarithm of the aircraft's delay plus 0.02 s, for which halving a
+    short delay counts as much as halving a long one; or the paper's reward, standardised by its mean and
+    standard deviation over the first full buffer."""
+    logit_cost: Weight = 1e-3
     """Weight of the mean square of the logits in the actors' loss, as in the original."""
     gradient_clip: Rate = 0.5
     """Greatest norm of the gradient of each network, as in the original."""
@@ -89,11 +119,11 @@ class Maddpg(PaperLearner):
         tally = Tally(self._uavs, self._task.device)
         seen = self._task.reset()
         for step in range(s.task.steps):
-            with torch.no_grad():
-                action = self._draw(self.actor.of_all(seen[None]))[0].argmax(-1)
+            action = self._explore(seen)
             then, reward, cost_s = self._task.step(action)
-            self.replay.add(seen, action, reward, then)
-            if self.replay.added == s.buffer_steps:
+            learned = reward if s.reward == "standardised" else -(cost_s + _LEAST_DELAY_S).log()
+            self.replay.add(seen, action, learned, then)
+            if self.replay.added == s.buffer_steps and s.reward == "standardised":
                 self._scale = torch.stack([self.replay.reward.mean(), self.replay.reward.std()])
             if self.replay.full and (step + 1) % s.learn_every == 0:
                 tally.learned(self._learn())
@@ -101,6 +131,24 @@ class Maddpg(PaperLearner):
             seen = then
         self.done += 1
         return tally.metrics()
+
+    @property
+    def _entropy_weight(self) -> float:
+        s = self.settings
+        learned = self.done - s.buffer_steps / s.task.steps
+        share = min(max(learned / s.entropy_episodes, 0.0), 1.0)
+        return s.first_entropy * (s.entropy / s.first_entropy) ** share
+
+    def _explore(self, seen: Tensor) -> Tensor:
+        """Actions (N,): drawn with the actors' probabilities, or at random with the share `exploration`."""
+        device, g = self._task.device, self._generator
+        some = torch.randint(self._actions, (self._uavs,), generator=g, device=device)
+        if not self.replay.full:
+            return some
+        with torch.no_grad():
+            action = self._draw(self.actor.of_all(seen[None]))[0].argmax(-1)
+        random = torch.rand(self._uavs, generator=g, device=device) < self.settings.exploration
+        return torch.where(random, some, action)
 
     def _draw(self, logits: Tensor) -> Tensor:
         """Draw one-hot choices (..., actions) by the Gumbel-softmax; gradients pass through the softmax."""
@@ -137,18 +185,39 @@ class Maddpg(PaperLearner):
     def _improve(self, batch: Batch, taken: Tensor) -> None:
         """Update the actors once: each actor's new choice replaces its taken one; the others keep theirs."""
         s = self.settings
-        logits = self.actor(batch.seen)
-        change = self._draw(logits) - taken
-        x = torch.cat([batch.seen, taken], -1).transpose(0, 1).reshape(1, s.batch, -1)
+        seen, taken = batch.seen[:, : s.actor_batch], taken[:, : s.actor_batch]
+        logits = self.actor(seen)
+        x = torch.cat([seen, taken], -1).transpose(0, 1).reshape(1, seen.shape[1], -1)
         each = torch.arange(self._uavs, device=x.device)
         with torch.no_grad():
             weight, bias = self.critic.weights[0], self.critic.biases[0]
             first = torch.baddbmm(bias, x.expand(self._uavs, -1, -1), weight)
             blocks = weight.reshape(self._uavs, self._uavs, -1, weight.shape[-1])
             own = blocks[each, each, self._task.inputs :]  # (N, actions, hidden)
-        value = self.critic.after_first(torch.baddbmm(first, change, own))
-        loss = -value.mean(1).sum() + s.logit_cost * logits.square().mean((1, 2)).sum()
+        if s.policy_gradient == "exact":
+            value = self._expected(logits, first - torch.bmm(taken, own), own)
+        else:
+            change = self._draw(logits) - taken
+            value = self.critic.after_first(torch.baddbmm(first, change, own))[..., 0]
+        logs = torch.log_softmax(logits, -1)
+        entropy = -(logs.exp() * logs).sum(-1)
+        loss = -(value + self._entropy_weight * entropy).mean(1).sum()
+        loss = loss + s.logit_cost * logits.square().mean((1, 2)).sum()
         _step(self._actor_adam, self.actor, loss, s.gradient_clip)
+
+    def _expected(self, logits: Tensor, others: Tensor, own: Tensor) -> Tensor:
+        """Expected values (N, batch) of the actors' choices.
+
+        Args:
+            logits: (N, batch, actions).
+            others: what the critics' first layer gives without the aircraft's own choice, (N, batch, hidden).
+            own: what each own choice adds to it, (N, actions, hidden).
+        """
+        with torch.no_grad():
+            each = (others[:, :, None] + own[:, None]).reshape(self._uavs, -1, own.shape[-1])
+            values = self.critic.after_first(each).reshape(logits.shape)
+        expected: Tensor = (torch.softmax(logits, -1) * values).sum(-1)
+        return expected
 
     @property
     def _chooser(self) -> Stack:

@@ -20,6 +20,8 @@ CPU = torch.device("cpu")
 ACTIONS = 5
 ARMS = torch.tensor([1, 3, 0])
 UNCLIPPED = 1e9
+FILLED_BY_ONE = {"buffer_steps": 30, "learn_every": 31}
+"""One episode of 30 steps fills the buffer, and nothing is learned."""
 
 
 class Bandit:
@@ -135,9 +137,12 @@ def test_each_aircraft_finds_its_own_best_choice(module, episodes, changes):
 @pytest.mark.parametrize("module", [iac, maddpg], ids=["iac", "maddpg"])
 def test_actors_are_followed_by_chance(module):
     """Their probabilities are those of the softmax."""
-    learner = of(module, uavs=100, steps=30, **({"learning_rate": 1e-9} if module is iac else {}))
+    changes = {"learning_rate": 1e-9} if module is iac else {"exploration": 0.0, **FILLED_BY_ONE}
+    learner = of(module, uavs=100, steps=30, **changes)
     logits = [2.0, 1.0, 0.0, 1.0, -1.0]
     biased(learner.actor, logits)
+    learner.train()
+    learner._task.taken.clear()  # MADDPG fills its buffer with random choices
     learner.train()
     wanted = torch.softmax(torch.tensor(logits), 0)
     torch.testing.assert_close(learner._task.counts(), wanted, atol=0.04, rtol=0.0)
@@ -227,7 +232,12 @@ def test_an_actor_critic_update_is_worked_out_by_hand():
 @pytest.fixture
 def filled():
     """A MADDPG learner with a full buffer that has learned nothing yet; the target networks are others."""
-    learner = of(maddpg, buffer_steps=20, batch=16, learn_every=21, soft_update=0.25, gradient_clip=UNCLIPPED)
+    return full_maddpg(policy_gradient="gumbel", reward="standardised", entropy=1e-12, first_entropy=1e-12)
+
+
+def full_maddpg(**changes):
+    changes = {"gradient_clip": UNCLIPPED} | changes
+    learner = of(maddpg, buffer_steps=20, batch=16, learn_every=21, soft_update=0.25, **changes)
     learner._task.worth = 4.0
     learner.train()
     for seed, stack in enumerate(
@@ -284,6 +294,81 @@ def test_a_maddpg_update_is_worked_out_by_hand(filled):
 
     assert_is(filled.actor_target, between(actor_target, filled.actor, 0.25))
     assert_is(filled.critic_target, between(critic_target, filled.critic, 0.25))
+
+
+def test_an_exact_maddpg_gradient_is_the_sum_over_all_choices():
+    learner = full_maddpg(policy_gradient="exact", reward="log", first_entropy=0.3, actor_batch=10)
+    s, generator = learner.settings, twin(learner._generator)
+    actor = copy.deepcopy(learner.actor)
+    rewards = learner.replay.reward
+    assert rewards.unique().tolist() == pytest.approx([-math.log(4.02), -math.log(0.02)])
+    batch = learner.replay.sample_steps(16, generator)
+    seen = batch.seen[:, :10]
+    taken = functional.one_hot(batch.action, ACTIONS).float()[:, :10]
+
+    learner._learn()
+
+    loss = torch.zeros(())
+    for n in range(3):
+        logits = alone(actor, n, seen[n])
+        share = torch.softmax(logits, -1)
+        for action in range(ACTIONS):
+            choice = taken.clone()
+            choice[n] = functional.one_hot(torch.tensor(action), ACTIONS).float()
+            value = alone(learner.critic, n, together(seen, choice))[:, 0].detach()
+            loss = loss - (share[:, action] * value).mean()
+        entropy = -(share * share.log()).sum(-1)
+        loss = loss - 0.3 * entropy.mean() + s.logit_cost * logits.square().mean()
+    assert_is(learner.actor, stepped(actor, loss, 0.1))
+
+
+def test_maddpg_explores_by_a_share_of_random_choices():
+    learner = of(maddpg, uavs=100, steps=30, exploration=0.5, **FILLED_BY_ONE)
+    biased(learner.actor, [20.0, 0.0, 0.0, 0.0, 0.0])
+    learner.train()
+    torch.testing.assert_close(learner._task.counts(), torch.full((5,), 0.2), atol=0.04, rtol=0.0)
+    learner._task.taken.clear()
+    learner.train()
+    wanted = torch.tensor([0.6, 0.1, 0.1, 0.1, 0.1])
+    torch.testing.assert_close(learner._task.counts(), wanted, atol=0.04, rtol=0.0)
+
+
+class Signposts(Bandit):
+    """The best choice of each aircraft is shown by what it sees: the arm is the column of the greatest
+    number. A policy that does not look loses two choices of three."""
+
+    def step(self, action):
+        best = self._seen.argmax(-1)
+        lost = 1.0 * (action != best)
+        return self.reset(), -lost, lost
+
+    def reset(self):
+        self._seen = super().reset()
+        return self._seen
+
+
+@pytest.mark.parametrize(
+    ("module", "episodes", "changes"),
+    [
+        (madqn, 120, {"buffer_steps": 400, "batch": 64, "learning_rate": 5e-3, "exploration_episodes": 60}),
+        (iac, 400, {"learning_rate": 2e-2}),
+        (
+            maddpg,
+            120,
+            {"buffer_steps": 400, "batch": 64, "learn_every": 1, "actor_rate": 5e-3, "critic_rate": 1e-2},
+        ),
+    ],
+    ids=["madqn", "iac", "maddpg"],
+)
+def test_choices_follow_what_is_seen(monkeypatch, module, episodes, changes):
+    """A learner that settles on one choice for each aircraft fails this."""
+    monkeypatch.setattr(module, "PaperTask", Signposts)
+    learner = of(module, **{"hidden": (32,), "discount": 0.0} | changes)
+    for _ in range(episodes):
+        learner.train()
+    seen = torch.rand(200, 3, 3, generator=torch.Generator().manual_seed(2))
+    right = (learner._best(seen) == seen.argmax(-1)).float().mean((0,))
+    assert right.min() > 0.85
 
 
 # ------------------------------------------------------------ the paper's task
