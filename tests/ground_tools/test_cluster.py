@@ -105,7 +105,7 @@ def test_ctrl_c_keeps_what_was_flown_on_the_cluster(address, tmp_path):
         command, stderr=subprocess.PIPE, text=True, start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
-    end = time.monotonic() + 120.0
+    end = time.monotonic() + 240.0
     while time.monotonic() < end and not any(p.stat().st_size > 2000 for p in tmp_path.glob("*.jsonl")):
         time.sleep(0.1)
     os.killpg(process.pid, signal.SIGINT)

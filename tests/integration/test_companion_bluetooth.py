@@ -50,7 +50,11 @@ def test_bluetooth_in_the_us_is_ble4_and_ble5_and_is_heard_back(config, start, t
     path = config('["ble4"]', "listen = false", "send = false")
     checked = start("companion.commands.cli", "check", "--config", path)
     assert checked.process.wait(60) == 0, checked.output
-    assert "remote ID: ble4 1/s, ble5 1/s (region us asks for ble5)" in checked.output
+    assert (
+        "remote ID: ble4 1.25/s, ble5 1.25/s (region us asks for ble5; "
+        "region us asks for ble4 every 1 s, sent with a margin; "
+        "region us asks for ble5 every 1 s, sent with a margin)" in checked.output
+    )
     companion = start("companion.commands.cli", "run", "--config", path)
     companion.wait_for("recording to")
     receiver = HciTransport(config.channel, "c2:00:00:00:00:01", send=False, listen=True)

@@ -73,5 +73,9 @@ def test_radios_that_only_listen_leave_the_broadcast_to_the_vehicle(arm, said):
 def test_what_the_law_adds_is_configured_and_said(arm, said):
     radio = arm("fly", "ble4", "ble5")
     assert radio.configured == {"ble4": 2, "ble5": 2}
-    assert "remote ID: ble4 1/s, ble5 1/s (radio cannot send on wifi; region us asks for ble4, ble5)" in said
+    assert (
+        "remote ID: ble4 1.25/s, ble5 1.25/s (radio cannot send on wifi; region us asks for ble4, ble5; "
+        "region us asks for ble4 every 1 s, sent with a margin; "
+        "region us asks for ble5 every 1 s, sent with a margin)" in said
+    )
     assert "radio: set" in said

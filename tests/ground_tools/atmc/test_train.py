@@ -156,7 +156,7 @@ def test_ctrl_c_leaves_complete_files(config, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("batches = 3", "batches: unknown key; allowed here: task, "),
+        ("batches = 3", "batches: unknown key; did you mean batch? allowed here: task, "),
         ("discount = 1.5", "discount: 1.5: expected a number, 0 to 1"),
         ("[task]\nuavs = 1", "task.uavs: 1: expected a whole number, 2 to 100"),
         ("[task.environment.world]\nsides = 'big'", "task.environment.world.sides: 'big'"),

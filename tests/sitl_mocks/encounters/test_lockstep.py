@@ -270,7 +270,7 @@ def test_wrong_options_are_one_line_and_exit_code_2(capsys, arguments, words):
         ('geometry = "S9"\n', "geometry: 'S9': allowed: 'S1', 'S2', 'S3'"),
         (
             'geometry = "S2"\n[air]\nlos = 1\n',
-            "air.los: unknown key; allowed here: model, parameters, delay_s, loss",
+            "air.los: unknown key; did you mean loss? allowed here: model, parameters, delay_s, loss",
         ),
         (
             "[[path]]\npoints = [[0.0, 0.0, 0.0, -9.0], [0.0, 1.0, 0.0, -9.0]]\n"

@@ -35,7 +35,7 @@ from companion.events import (
 from ground_tools.inspect.read.flown import flown
 from ground_tools.inspect.read.link_health import ComponentHealth, LinkHealth
 from ground_tools.inspect.read.read_run import Run, read_run
-from ground_tools.inspect.report import plots, summary
+from ground_tools.inspect.report import lanes, summary
 from ground_tools.inspect.viewer import drawing, recording, writer
 from ground_tools.inspect.viewer.live import Bridge
 from ground_tools.inspect.viewer.palette import LEVELS
@@ -228,10 +228,10 @@ def test_the_reports_time_line_has_them(run: Run, monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(Axes, "plot", seen)
     figures = summary.describe(run)
-    text = plots.lanes(run, flown(run), figures["aircraft"])
+    text = lanes.lanes(run, flown(run), figures["aircraft"])
     assert text is not None
     assert f"{run.aircraft[0].name} events" in text
-    assert {kind: drawn[kind] for kind in plots._MARKS} == {
+    assert {kind: drawn[kind] for kind in lanes._MARKS} == {
         "on the air switched": [10.0, 11.0, 12.0],
         "transports chosen": [13.0, 14.0],
         "conflict begins": [20.0],
