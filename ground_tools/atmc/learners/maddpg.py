@@ -137,7 +137,8 @@ class Maddpg(PaperLearner):
         s = self.settings
         learned = self.done - s.buffer_steps / s.task.steps
         share = min(max(learned / s.entropy_episodes, 0.0), 1.0)
-        return s.first_entropy * (s.entropy / s.first_entropy) ** share
+        factor: float = (s.entropy / s.first_entropy) ** share
+        return s.first_entropy * factor
 
     def _explore(self, seen: Tensor) -> Tensor:
         """Actions (N,): drawn with the actors' probabilities, or at random with the share `exploration`."""
