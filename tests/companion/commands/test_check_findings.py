@@ -18,7 +18,7 @@ import pytest
 from companion.autopilot.wire import MavlinkWriter
 from companion.commands import check as check_module
 from companion.commands.check import check
-from companion.config import Config, RecordConfig, VehicleConfig
+from companion.config import Config, IdentityConfig, RecordConfig, VehicleConfig
 from tests.companion.commands.conftest import Vehicle
 
 
@@ -29,6 +29,7 @@ def listed(vehicle: Vehicle, make_config: Callable[..., Config], tmp_path: Path)
     def run(code: int, **changes: Any) -> dict[str, list[tuple[str, str, str]]]:
         base = msgspec.structs.replace(
             make_config(use="watch"),
+            identity=IdentityConfig(uas_id="1596B0000OWN0001"),
             vehicle=VehicleConfig(link=f"tcp:127.0.0.1:{vehicle.port}", wait_s=60.0),
             record=RecordConfig(folder=str(tmp_path / "runs")),
         )
