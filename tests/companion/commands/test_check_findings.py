@@ -29,7 +29,7 @@ def listed(vehicle: Vehicle, make_config: Callable[..., Config], tmp_path: Path)
     def run(code: int, **changes: Any) -> dict[str, list[tuple[str, str, str]]]:
         base = msgspec.structs.replace(
             make_config(use="watch"),
-            identity=IdentityConfig(uas_id="1596B0000OWN0001"),
+            identity=IdentityConfig(uas_id="1596B0000TEST001"),
             vehicle=VehicleConfig(link=f"tcp:127.0.0.1:{vehicle.port}", wait_s=60.0),
             record=RecordConfig(folder=str(tmp_path / "runs")),
         )
@@ -54,7 +54,7 @@ def test_all_is_well_with_a_vehicle_that_sends_everything(
     monkeypatch.setattr("companion.commands.check._PARAMETERS_S", 60.0)
     found = listed(0)
     for what in ("configuration", "disk", "policy", "link", "vehicle", "rates", "GNSS", "clock"):
-        assert {light for light, *_ in found[what]} == {"green"}, what
+        assert {light for light, *_ in found[what]} == {"green"}, found[what]
     assert found["region"][0][:2] == ("yellow", "none: no Remote ID law applies")
     assert found["radio"][0][0] == "yellow", "to watch without a radio is a choice"
     assert "ardupilot, system 1" in found["vehicle"][0][1]
