@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import random
+
 import pytest
 
-from companion.events import FenceArea, FenceDownloaded, Parameter, VehicleParameters
+from companion.events import FenceArea, FenceDownloaded, GlobalPosition, Parameter, VehicleParameters
+from companion.gate.bounds import Bounds
+from companion.gate.rules import Broken
 from tests.companion.gate.flying import ARDUPILOT, HOME, Flying, config, rectangle
 
 FAST = {"max_speed_mps": 10.0, "max_acceleration_mps2": 2.0}
@@ -285,3 +290,50 @@ def test_out_of_the_fence_it_does_not_creep_on():
     one = at(taken([BOX]), (101.0, 0.0, -50.0))
     assert not one.flies(0.2)
     assert at(taken([BOX]), (101.0, 0.0, -50.0)).flies(0.0, 2.0)
+
+
+def verdict(bounds, velocity, now_s):
+    try:
+        bounds.check(velocity, now_s)
+    except Broken as broken:
+        return str(broken)
+    bounds.left(velocity, now_s)
+    return None
+
+
+def test_distances_to_the_fence_that_were_measured_before_give_the_verdict_of_new_ones():
+    """A box to stay in, a box and a circle to stay out of; flown across them in all directions."""
+    verdicts = [flown_across(random.Random(seed)) for seed in range(20)]
+    assert sum(refused for refused, _ in verdicts) > 200
+    assert all(same for _, same in verdicts)
+
+
+def flown_across(rng):
+    """Number of setpoints that the fence refuses, and whether new distances give the same verdicts."""
+    areas = (
+        rectangle(-60.0, -60.0, 60.0, 60.0),
+        rectangle(-10.0, 5.0, 15.0, 30.0, inclusion=False),
+        FenceArea(inclusion=False, points=(HOME.to_geodetic(-30.0, -20.0, 0.0)[:2],), radius_m=12.0),
+    )
+    kept, anew = (Bounds(config(limits=FAST, fence=areas)) for _ in range(2))
+    place, velocity = (rng.uniform(-50.0, 50.0), rng.uniform(-50.0, 50.0)), (0.0, 0.0, 0.0)
+    refused, same = 0, True
+    for step in range(300):
+        now_s = 0.1 * step
+        place = place[0] + 0.1 * velocity[0], place[1] + 0.1 * velocity[1]
+        lat, lon, _ = HOME.to_geodetic(*place, 0.0)
+        event = GlobalPosition(
+            time_boot_s=now_s, lat_deg=lat, lon_deg=lon, alt_msl_m=500.0, height_above_home_m=50.0,
+            velocity_ned_mps=velocity,
+        )  # fmt: skip
+        kept.hear_position(event, now_s)
+        anew.hear_position(event, now_s)
+        if step % 15 == 0:
+            aim = rng.uniform(-8.0, 8.0), rng.uniform(-8.0, 8.0)
+        change = [max(-0.15, min(0.15, a - v)) for a, v in zip(aim, velocity, strict=False)]
+        velocity = velocity[0] + change[0], velocity[1] + change[1], 0.0
+        anew._walls_at = (math.inf, math.inf)
+        said = verdict(anew, velocity, now_s)
+        same = same and verdict(kept, velocity, now_s) == said
+        refused += said is not None and "(fence)" in said
+    return refused, same
