@@ -182,13 +182,15 @@ def _least_broken(
 
 
 @compiled
-def _stops_inside(site: Site, before: Vector, level: float) -> bool:
+def _stops_inside(site: Site, before: Vector, level: float, change: float) -> bool:
     """Whether braking straight on with the full acceleration limit ends before every wall.
 
     Args:
         before, level: the last command and its horizontal speed, m/s.
+        change: of a command, m/s. The first one holds for a whole period, so that the way is shorter than
+            that of a steady deceleration by half a period at the present speed.
     """
-    stop_s = level / (2.0 * site.acceleration)
+    stop_s = max(level - change, 0.0) / (2.0 * site.acceleration)
     end = Point(site.ahead.n + stop_s * before.n, site.ahead.e + stop_s * before.e)
     for i in range(len(site.fence)):  # noqa: SIM110 (numba knows no generator in all())
         if crosses(wall_at(site.fence, i), site.here, end):
@@ -260,7 +262,7 @@ def keep(
     # The planes that rely on BRAKES and keep the margin cannot be satisfied.
     count, after = wall_planes(site, before, 0.0, -math.inf, scratch, DOWN_SPEEDS)
     level = math.sqrt(before.n * before.n + before.e * before.e)
-    if after == count and _stops_inside(site, before, level):
+    if after == count and _stops_inside(site, before, level, change):
         k = max(1.0 - change / max(level, EPSILON), 0.0)
         return Vector(k * before.n, k * before.e, min(max(before.d, bounds.least_down), bounds.most_down))
     found, v = in_reach(scratch, count, wish, before, change, top)

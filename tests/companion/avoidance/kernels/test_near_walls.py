@@ -110,13 +110,15 @@ def test_floor_and_ceiling_precede_a_wall() -> None:
     assert command.n == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize(("wall_m", "inside"), [(11.9, False), (12.1, True)])
-def test_where_braking_straight_on_ends(wall_m: float, inside: bool) -> None:
-    """6 m/s need 12 m at 1.5 m/s^2, from half a second ahead on."""
+@pytest.mark.parametrize(("excess_m", "inside"), [(-0.01, False), (0.01, True)])
+def test_where_braking_straight_on_ends(excess_m: float, inside: bool) -> None:
+    """The way of all commands to come, each of which holds for a period, from half a second ahead on."""
+    period_s = CHANGE / ACCELERATION
+    wall_m = excess_m + sum(period_s * (6.0 - k * CHANGE) for k in range(1, round(6.0 / CHANGE) + 1))
     fence = north_wall(3.0 + wall_m)
     site = Site(fence, k.Point(0.0, 0.0), k.Point(3.0, 0.0), MARGIN, SPEED, ACCELERATION)
-    assert _stops_inside(site, k.Vector(6.0, 0.0, 0.0), 6.0) is inside
-    assert _stops_inside(site, k.Vector(0.0, 6.0, 0.0), 6.0)
+    assert _stops_inside(site, k.Vector(6.0, 0.0, 0.0), 6.0, CHANGE) is inside
+    assert _stops_inside(site, k.Vector(0.0, 6.0, 0.0), 6.0, CHANGE)
 
 
 def test_the_nearest_wall_weighs_most() -> None:
