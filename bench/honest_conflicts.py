@@ -14,7 +14,6 @@ import numpy as np
 
 from companion.arrays import Bools, Floats
 from companion.authority.influence.allowance import HELD_S
-from companion.avoidance.law import VERTICAL_SCALE
 from ground_tools.campaign import cells, vehicles
 from ground_tools.campaign.cells import Cell, Look
 from ground_tools.campaign.tables import TABLES
@@ -30,7 +29,8 @@ def of_aircraft(look: Look, i: int) -> list[float]:
     views, here = look.log.views[:, i], look.log.position[:, i]
     crewed = (look.kinds == vehicles.CREWED) | (look.kinds == vehicles.BAROMETRIC)
     acting = (np.nan_to_num(views[:, :, 4]) != 0.0) | (np.nan_to_num(views[:, :, 7]) != 0.0)
-    away = (views[:, :, :3] - here[:, None]) * (1.0, 1.0, VERTICAL_SCALE)
+    away = views[:, :, :3] - here[:, None]
+    away[:, :, 2] *= views[:, :, 3] / views[:, :, 8]
     inside = acting & (np.linalg.norm(away, axis=2) < views[:, :, 3]) & ~crewed
     track_s = DECISION_S * (acting & ~crewed).sum(axis=0).max()
     inside_s = DECISION_S * inside.sum(axis=0).max()

@@ -54,7 +54,7 @@ vertical error of GNSS."""
 _BELIEVABLE = 1e7
 """Largest magnitude (m, m/s) of a number that is used: an own state beyond it is refused, and a neighbour
 with a number beyond it is ignored."""
-OVERLAP_S = 2.0
+OVERLAP_S = 1.0
 LOOK_S = 30.0
 KEEP_RIGHT_RAD = 0.2
 
@@ -85,7 +85,7 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     sigma_mps: float = 0.3
     """Error of the velocity, one standard deviation for each axis."""
     growth_mps: float = 0.0
-    """How fast it deviates from its predictions (`kernels.Past`)."""
+    """How fast its horizontal position deviates from its predictions (`kernels.Past`)."""
     silent: bool = False
     """True: not received for so long that it may have stopped (`kernels.silent_after`)."""
     share: float = 0.5
@@ -100,6 +100,8 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """True: a signature has verified its identity. What it says may still be false."""
     group: str = ""
     """Allowance that it shares with tracks that appeared with it or sound like it; "": its own alone."""
+    growth_down_mps: float = 0.0
+    """How fast its height deviates from its predictions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +264,7 @@ class Law:
                 entries += n.velocity_ned_mps
                 entries += (
                     age_s if age_s > 0.0 else 0.0, n.sigma_m, n.sigma_mps, n.growth_mps, n.silent, n.share,
-                    n.vertical_known, n.crewed,
+                    n.vertical_known, n.crewed, n.growth_down_mps,
                 )  # fmt: skip
         if len(usable) > len(self._table):
             self._room(2 * len(usable))
@@ -368,8 +370,9 @@ def _views(neighbours: Sequence[Neighbour], seen: Floats) -> tuple[TrackView, ..
                 closest_m=distance_m,
                 active=active != 0.0,
                 adsb=neighbour.adsb,
+                height_m=height_m,
             )
-            for neighbour, (n, e, d, radius_m, conflict, time_s, distance_m, active) in zip(
+            for neighbour, (n, e, d, radius_m, conflict, time_s, distance_m, active, height_m) in zip(
                 neighbours, seen.tolist(), strict=True
             )
         ]

@@ -105,7 +105,7 @@ class LimitsConfig(_Section, frozen=True):
     """Greatest total speed."""
     max_climb_mps: Annotated[float, Meta(gt=0, le=20)] = 2.0
     max_descent_mps: Annotated[float, Meta(gt=0, le=20)] = 2.0
-    max_acceleration_mps2: Annotated[float, Meta(gt=0, le=20)] = 1.0
+    max_acceleration_mps2: Annotated[float, Meta(gt=0, le=20)] = 2.0
     """Greatest rate of change of the commanded velocity."""
     floor_height_m: float | None = None
     """Height above home. None: the lower of 15 m and the path's lowest point."""
@@ -126,7 +126,7 @@ class AvoidanceConfig(_Section, frozen=True):
     crewed_vertical_m: Annotated[float, Meta(gt=0, le=1000)] = 50.0
     horizon_s: Annotated[float, Meta(gt=0, le=120)] = 20.0
     period_s: Annotated[float, Meta(ge=0.02, le=1)] = 0.2
-    recovery_time_s: Annotated[float, Meta(gt=0, le=120)] = 10.0
+    recovery_time_s: Annotated[float, Meta(gt=0, le=120)] = 15.0
     """T of the paper: time in which to close the gap to the path's present point."""
     n_noncollide: Annotated[int, Meta(ge=1, le=1000)] = 15
     """Decision cycles without a conflict after which an avoidance is over; in the paper's law, recovery

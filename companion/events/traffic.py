@@ -91,6 +91,8 @@ class TrackView(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, g
     """True if this track's half-space bounds the chosen velocity."""
     adsb: bool = False
     """True if the track was heard by ADS-B."""
+    height_m: float = 0.0
+    """Half height of the volume whose radius is `radius_m`; 0 in records that do not have it."""
 
 
 class Decision(Command, frozen=True):

@@ -57,6 +57,7 @@ def neighbours_of(
             t.vertical_known,
             proven=t.proven,
             group=t.group if groups[t.group] >= _CROWD else "",
+            growth_down_mps=t.past.growth_down_mps,
         )
         for t in tracks
     ]

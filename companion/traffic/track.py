@@ -204,11 +204,11 @@ class Track:
         past, p, v = self.past, self.position_ned_m, self.velocity_ned_mps
         clocked = fix.stamp_s is not None
         if clocked != self.past_clocked:
-            past, self.past_clocked = past._replace(time_s=-math.inf), clocked
+            past, self.past_clocked = past._replace(time_s=-math.inf, since_s=-math.inf), clocked
         down, sinking = (p[2], v[2]) if self.vertical_known else (0.0, 0.0)
         if self.vertical_known != self.past_vertical:
             # A height that becomes known or unknown is no manoeuvre.
-            past = past._replace(d=down, vd=0.0)
+            past = past._replace(d=down, vd=0.0, since_d=down, since_vd=0.0)
             self.past_vertical = self.vertical_known
         at_s = self.sample_s if fix.stamp_s is None else fix.stamp_s
         sigma = self.sigma_m if clocked else math.hypot(self.sigma_m, _CLOCKLESS_S * math.hypot(*v))
@@ -296,7 +296,8 @@ class Track:
         if off(other, fix, at_s) <= _DRAGGED * near(fix.sigma_m + other.sigma_m):
             other.note_miss(fix, at_s, now_s)
             self.wander = replace(other.wander)
-            self.past = self.past._replace(growth_mps=other.past.growth_mps)
+            growth = other.past.growth_mps, other.past.growth_down_mps
+            self.past = self.past._replace(growth_mps=growth[0], growth_down_mps=growth[1])
 
     @property
     def flags(self) -> frozenset[Flag]:

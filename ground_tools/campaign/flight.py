@@ -420,6 +420,7 @@ def _look(
             CREWED_SHARE if crewed else 0.5,
             0.0 if kinds[j] == BAROMETRIC else 1.0,
             1.0 if crewed else 0.0,
+            0.0 if crewed else past.growth_down_mps,
         )  # fmt: skip
         k.put_other(mind.neighbours, count, known)
         mind.senders[count] = j

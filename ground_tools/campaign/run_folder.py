@@ -226,6 +226,7 @@ def _decision(own: outcome.Log, point: Vec3, called: list[str]) -> Decision:
                 time_to_closest_s=view.time_s,
                 closest_m=view.distance_m,
                 active=view.active != 0.0,
+                height_m=view.height_m,
             )
         )
     return Decision(

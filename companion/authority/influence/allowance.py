@@ -348,7 +348,8 @@ class Allowances:
 def _is_inside(here: Vec3, view: TrackView) -> bool:
     """Whether the aircraft is within the volume of a track."""
     (n, e, d), (north, east, down) = view.position_ned_m, here
-    return math.hypot(n - north, e - east, VERTICAL_SCALE * (d - down)) < view.radius_m
+    scale = view.radius_m / view.height_m if view.height_m > 0.0 else VERTICAL_SCALE
+    return math.hypot(n - north, e - east, scale * (d - down)) < view.radius_m
 
 
 def _predicted(other: Neighbour) -> Vec3:

@@ -249,10 +249,10 @@ def decide(
     margin = FENCE_MARGIN_M + 2.0 * own.sigma_m
     site = Site(fence, here, ahead, margin, settings.speed_mps, settings.acceleration_mps2)
     hard, first = _fence_first(site, before, change, least, most, work.planes)
-    after, conflict = neighbour_planes(
+    after, conflict, on_right = neighbour_planes(
         neighbours, count, own, wanted, settings, history, samples, work.planes, first, work.seen, work.asked
     )
-    wish = _turned(wanted, settings.right_rad) if conflict else wanted
+    wish = _turned(wanted, settings.right_rad) if conflict and not on_right else wanted
     feasible, solved = solve(work.planes, hard, after, settings.speed_mps, SLACK_MPS, wish, work.scratch)
     at_least, at_most, at_fence = _bounded(work, count, hard, solved)
     flown, quiet = solved, state.quiet

@@ -25,7 +25,15 @@ from companion.avoidance.kernels.vectors import (
 )
 
 NEWS_S = 0.9
-"""Least time between two messages that are compared to judge a track's past."""
+"""A message that is less than this newer than the last one that counted says nothing of a track's past."""
+MANOEUVRE_S = 2.9
+"""Least time between two messages that are compared to find manoeuvres. A manoeuvre shows by the square of
+this time, noise does not."""
+USUAL_M, USUAL_MPS, USUAL_S = 0.6, 0.9, 4.0
+"""Deviation that is no manoeuvre: of each metre of declared error, and of each second up to USUAL_S. With 3 m
+declared and three seconds it is 4.5 m, the way of an aircraft that gives way with 1 m/s^2."""
+GROWTH_FACTOR = 2.5
+"""Growth for each metre per second of further deviation."""
 GROWTH_MEMORY_S = 40.0
 """Time constant with which the growth of a track fades."""
 GROWTH_MOST_MPS = 3.0
@@ -36,6 +44,8 @@ SILENT_S, SILENT_GAPS = 2.0, 1.5
 (at least 1 s). With one message a second, delays that differ by a second already make gaps of 2 s."""
 GAP_MEMORY_S = 60.0
 """Time constant with which the longest gap of a track fades."""
+PASSING_M = 5.0
+"""Another aircraft that passes by more than this to the right of us passes on our right."""
 STOPS_S = 1.0
 """A silent track is assumed to stand where it would have been this long after its last message."""
 
@@ -51,12 +61,22 @@ class Past(NamedTuple):
     ve: float
     vd: float
     growth_mps: float
-    """How fast it deviates from its predictions."""
+    """How fast its horizontal position deviates from its predictions."""
+    growth_down_mps: float
+    """How fast its height does."""
     gap_s: float
     """Longest time between two messages lately."""
+    since_s: float
+    """Time of the message from which it is predicted to find deviations; its state follows."""
+    since_n: float
+    since_e: float
+    since_d: float
+    since_vn: float
+    since_ve: float
+    since_vd: float
 
 
-NO_PAST = Past(-math.inf, *[0.0] * 8)
+NO_PAST = Past._make((-math.inf, *[0.0] * 9, -math.inf, *[0.0] * 6))
 """Memory before the first message."""
 
 
@@ -86,6 +106,8 @@ class Other(NamedTuple):
     """1: its height is known."""
     crewed: float
     """1: crewed traffic, with its own separations."""
+    growth_down_mps: float
+    """`Past.growth_down_mps`."""
 
 
 class Seen(NamedTuple):
@@ -105,6 +127,8 @@ class Seen(NamedTuple):
     """Distance then."""
     active: float
     """1: one of its planes bounds the velocity that the law found."""
+    height_m: float
+    """Half height of the volume."""
 
 
 class Volume(NamedTuple):
@@ -128,14 +152,23 @@ class Relative(NamedTuple):
 
 
 @compiled
+def _growth(before: float, passed: float, off: float, usual: float) -> float:
+    """The growth after a deviation `off` (m) in `passed` (s), of which `usual` (m) does not count."""
+    news = min(GROWTH_FACTOR * max(off - usual, 0.0) / passed, GROWTH_MOST_MPS)
+    return max(before * math.exp(-passed / GROWTH_MEMORY_S), news)
+
+
+@compiled
 def note_track(
     past: tuple[float, ...], t: float, position: Triple, velocity: Triple, sigma_m: float
 ) -> tuple[float, ...]:
     """Learn from a new message how fast a track deviates from its own predictions.
 
-    A neighbour that manoeuvres is not where its last message predicts. The distance between a message and the
-    prediction from the one before, minus what noise explains, divided by the time between them, is a speed.
-    The growth is twice the largest such speed lately, halved every 28 s.
+    A neighbour that manoeuvres is not where its message of some three seconds ago predicts. The distance from
+    there, minus what noise and giving way explain, divided by the time between both messages, is a speed. The
+    growth is 2.5 times the largest such speed lately, halved every 28 s. It is learnt for the horizontal
+    position and for the height separately: an aircraft that turns and keeps its height can be passed above or
+    below.
 
     Args:
         past: the fields of a `Past`, as a plain tuple.
@@ -146,22 +179,24 @@ def note_track(
     Returns:
         The fields of the new `Past`.
     """
-    time_s, n, e, d, vn, ve, vd, growth, gap = past
-    passed = t - time_s
+    at_s, pn, pe, pd, un, ue, ud, growth, growth_down, gap, since_s, n, e, d, vn, ve, vd = past
+    passed = t - at_s
     if not passed >= NEWS_S:
-        return time_s, n, e, d, vn, ve, vd, growth, gap
+        return at_s, pn, pe, pd, un, ue, ud, growth, growth_down, gap, since_s, n, e, d, vn, ve, vd
     if passed < math.inf:
-        away = math.sqrt(
-            (position[0] - n - passed * vn) ** 2
-            + (position[1] - e - passed * ve) ** 2
-            + (position[2] - d - passed * vd) ** 2
-        )
-        noise = 0.35 * (max(sigma_m, 1.0) + passed)
-        news = min(2.0 * max(away - noise, 0.0) / passed, GROWTH_MOST_MPS)
-        growth = max(growth * math.exp(-passed / GROWTH_MEMORY_S), news)
         gap = max(gap * math.exp(-passed / GAP_MEMORY_S), passed)
+    passed = t - since_s
+    if passed >= MANOEUVRE_S:
+        if passed < math.inf:
+            usual = USUAL_M * max(sigma_m, 1.0) + USUAL_MPS * min(passed, USUAL_S)
+            off_n, off_e = position[0] - n - passed * vn, position[1] - e - passed * ve
+            growth = _growth(growth, passed, math.sqrt(off_n * off_n + off_e * off_e), usual)
+            growth_down = _growth(growth_down, passed, abs(position[2] - d - passed * vd), usual)
+        since_s, n, e, d = t, position[0], position[1], position[2]
+        vn, ve, vd = velocity[0], velocity[1], velocity[2]
     return (
-        t, position[0], position[1], position[2], velocity[0], velocity[1], velocity[2], growth, gap
+        t, position[0], position[1], position[2], velocity[0], velocity[1], velocity[2], growth, growth_down,
+        gap, since_s, n, e, d, vn, ve, vd,
     )  # fmt: skip
 
 
@@ -179,7 +214,9 @@ def silent_after(gap_s: float) -> float:
 def other_at(neighbours: Floats, row: int) -> Other:
     """A row of a table of neighbours."""
     r = neighbours[row]
-    return Other(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11], r[12], r[13])
+    return Other(
+        r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11], r[12], r[13], r[14]
+    )  # fmt: skip
 
 
 @compiled
@@ -189,27 +226,32 @@ def put_other(neighbours: Floats, row: int, other: Other) -> None:
     r[0], r[1], r[2], r[3], r[4], r[5] = other.n, other.e, other.d, other.vn, other.ve, other.vd
     r[6], r[7], r[8], r[9] = other.age_s, other.sigma_m, other.sigma_mps, other.growth_mps
     r[10], r[11], r[12], r[13] = other.silent, other.share, other.vertical_known, other.crewed
+    r[14] = other.growth_down_mps
 
 
 @compiled
 def seen_at(seen: Floats, row: int) -> Seen:
     """A row of a table of reports."""
     r = seen[row]
-    return Seen(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7])
+    return Seen(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8])
 
 
 @compiled
 def past_at(pasts: Floats, row: int) -> Past:
     """A row of a table of pasts."""
     r = pasts[row]
-    return Past(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8])
+    return Past(
+        r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11], r[12], r[13], r[14], r[15],
+        r[16],
+    )  # fmt: skip
 
 
 @compiled
 def put_past(pasts: Floats, row: int, past: tuple[float, ...]) -> None:
     """Write a row of a table of pasts: the fields of a `Past`."""
     r = pasts[row]
-    r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8] = past
+    for c in range(len(past)):
+        r[c] = past[c]
 
 
 @compiled
@@ -229,6 +271,7 @@ def volume_of(other: Other, own: Own, settings: Settings) -> Volume:
     Its radius is the separation plus two margins. The first is `sigmas` standard deviations of the present
     relative position (from both positions, and from the sent velocity over the age). The second is the error
     since the message due to the resolution of sent velocities or, if that is more, to the track's manoeuvres.
+    Manoeuvres sideways do not make it taller, and those in height not wider.
     """
     radius, scale, horizon = settings.radius_m, settings.vertical, settings.horizon_s
     if other.crewed != 0.0:
@@ -236,10 +279,12 @@ def volume_of(other: Other, own: Own, settings: Settings) -> Volume:
         horizon = settings.crewed_horizon_s
     drift = other.sigma_mps * other.age_s
     sigma = math.sqrt(own.sigma_m**2 + other.sigma_m**2 + drift * drift)
-    growth = settings.growth * other.growth_mps
     radius += max(settings.least_margin_m, settings.sigmas * sigma)
-    radius += max(settings.quantum_mps * other.age_s, growth * (other.age_s + GROWTH_AHEAD_S))
-    return Volume(radius, scale, horizon)
+    resolution = settings.quantum_mps * other.age_s
+    ahead = settings.growth * (other.age_s + GROWTH_AHEAD_S)
+    height = (radius + max(resolution, ahead * other.growth_down_mps)) / scale
+    radius += max(resolution, ahead * other.growth_mps)
+    return Volume(radius, radius / height, horizon)
 
 
 @compiled
@@ -276,10 +321,17 @@ def _put_asked(asked: Floats, row: int, which: int, plane: Plane, planes: Floats
 
 
 @compiled
+def _right_of(course: Vector, point: Vector) -> float:
+    """How far a point lies to the right of a course through the origin; 0 without a horizontal course."""
+    speed = math.sqrt(course.n * course.n + course.e * course.e)
+    return (course.n * point.e - course.e * point.n) / speed if speed > 0.0 else 0.0
+
+
+@compiled
 def neighbour_planes(
     neighbours: Floats, count: int, own: Own, wanted: Vector, settings: Settings, history: History,
     samples: int, planes: Floats, first: int, seen: Floats, asked: Floats,
-) -> tuple[int, bool]:  # fmt: skip
+) -> tuple[int, bool, bool]:  # fmt: skip
     """Predict the neighbours, report on them, and write their planes from row `first` on.
 
     Args:
@@ -292,9 +344,10 @@ def neighbour_planes(
             track may have stopped (0 if there is none); written.
 
     Returns:
-        The row after the planes, and whether there is a conflict.
+        The row after the planes, whether there is a conflict, and whether one of those in conflict will pass
+        on our right, so that a turn to the right would lead to it.
     """
-    conflict, at = False, first + count
+    conflict, on_right, at = False, False, first + count
     most = DEMAND * settings.speed_mps if settings.law != PAPER else math.inf
     for j in range(count):
         other = other_at(neighbours, j)
@@ -327,8 +380,10 @@ def neighbour_planes(
             _put_asked(asked, j, 1, plane, planes, at)
             at += 1
         conflict = conflict or breaks
+        on_right = on_right or (breaks and _right_of(wanted, along(away, -t, wish)) > PASSING_M)
         seen[j, 0], seen[j, 1] = own.position.n + away.n, own.position.e + away.e
         seen[j, 2] = own.position.d + away.d
         seen[j, 3], seen[j, 4] = volume.radius, 1.0 if breaks else 0.0
         seen[j, 5], seen[j, 6] = t, math.sqrt(near2)
-    return at, conflict
+        seen[j, 8] = volume.radius / volume.scale
+    return at, conflict, on_right

@@ -16,7 +16,7 @@ DMUCA, PAPER, NONE = 0.0, 1.0, 2.0
 """Laws."""
 DEMAND = 2.0
 """Most that one neighbour's plane may require, as a multiple of the greatest speed."""
-OTHER_COLUMNS, SEEN_COLUMNS = 14, 8
+OTHER_COLUMNS, SEEN_COLUMNS = 15, 9
 """Number of fields of `Other` and of `Seen`."""
 
 

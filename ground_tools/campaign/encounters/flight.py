@@ -184,7 +184,7 @@ def _look(now: float, received: int, own_down_m: float, heard: Floats, neighbour
         neighbours, 0,
         k.Other(
             p[0], p[1], p[2], v[0], v[1], v[2], max(age, 0.0), adsb.SIGMA_M, adsb.SIGMA_MPS,
-            0.0, 0.0, CREWED_SHARE, 1.0 if known else 0.0, 1.0,
+            0.0, 0.0, CREWED_SHARE, 1.0 if known else 0.0, 1.0, 0.0,
         ),
     )  # fmt: skip
     return 1

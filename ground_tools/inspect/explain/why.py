@@ -28,6 +28,7 @@ import numpy as np
 
 from companion.authority.course import LEAST_HEIGHT_M, LEAST_LAYER_M
 from companion.avoidance import kernels as k
+from companion.avoidance.kernels.neighbours import GROWTH_AHEAD_S
 from companion.avoidance.law import (
     LEAST_MARGIN_M,
     LIMITS,
@@ -230,12 +231,17 @@ class Explainer:
         return tuple(found), made.solved
 
     def _neighbour(self, track: TrackView, decision: Decision, own_sigma_m: float) -> k.Other:
-        """The track with its position at its message and an accuracy that gives the logged radius."""
+        """The track with its position at its message, and with an accuracy and a growth that give the logged
+        volume."""
         crewed = self._crewed(track)
         age = max(track.age_s, 0.0)
-        margin = track.radius_m - separation_m(self._avoidance, crewed)[0] - QUANTUM_MPS * age
+        separation, scale = separation_m(self._avoidance, crewed)
+        height = track.height_m or track.radius_m / scale
+        narrow = min(track.radius_m, scale * height)
         n, e, d = (p - age * v for p, v in zip(track.position_ned_m, track.velocity_ned_mps, strict=True))
-        sigma = max(margin, LEAST_MARGIN_M) / SIGMAS
+        sigma = max(narrow - separation - QUANTUM_MPS * age, LEAST_MARGIN_M) / SIGMAS
+        wider, taller = track.radius_m - narrow, scale * height - narrow
+        ahead = age + GROWTH_AHEAD_S
         return k.Other(
             n,
             e,
@@ -244,12 +250,13 @@ class Explainer:
             age_s=age,
             sigma_m=math.sqrt(max(sigma * sigma - own_sigma_m * own_sigma_m, 0.0)),
             sigma_mps=0.0,
-            growth_mps=0.0,
+            growth_mps=(wider + QUANTUM_MPS * age) / ahead if wider > 0.0 else 0.0,
             silent=0.0,
             share=share_of(FREE, CREWED if crewed else FREE),
             # The kernel puts a track without a known height at exactly our own height.
             vertical_known=float(track.position_ned_m[2] != decision.position_ned_m[2]),
             crewed=float(crewed),
+            growth_down_mps=(taller + QUANTUM_MPS * age) / ahead if taller > 0.0 else 0.0,
         )
 
     def _crewed(self, track: TrackView) -> bool:

@@ -346,7 +346,7 @@ def _half_size(one: Aircraft, track: TrackView) -> tuple[float, float, float]:
     """Return the half axes of the volume that the law kept clear."""
     crewed = track.adsb and track.radius_m >= separation_m(one.avoidance, True)[0]
     tall = separation_m(one.avoidance, crewed)[1]
-    return (track.radius_m, track.radius_m, track.radius_m / tall)
+    return (track.radius_m, track.radius_m, track.height_m or track.radius_m / tall)
 
 
 def _in_words(one: Aircraft, track: TrackView) -> str:
