@@ -331,8 +331,9 @@ def test_two_with_the_same_data_part(seed: int) -> None:
     np.testing.assert_allclose(normals[0], -normals[1], atol=1e-12)
     relative = found[0] - found[1]
     assert normals[0] @ relative >= sum(offsets) - 1e-9
-    radius = 10.0 + 3.8 * math.hypot(math.hypot(1.5, 1.5), 0.3 * age) + max(0.2 * age, growth * (age + 4.0))
-    scaled = np.array([1.0, 1.0, 0.85])
+    still = 10.0 + 3.8 * math.hypot(math.hypot(1.5, 1.5), 0.3 * age)
+    radius = still + max(0.2 * age, growth * (age + 4.0))
+    scaled = np.array([1.0, 1.0, radius / ((still + 0.2 * age) / 0.85)])
     if np.linalg.norm(p * scaled) > radius:
         _, near2 = k.closest(k.Vector(*(p * scaled)), k.Vector(*(relative * scaled)), 20.0)
         assert math.sqrt(near2) >= radius - 1e-6

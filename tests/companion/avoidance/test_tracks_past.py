@@ -28,54 +28,76 @@ def note(track: Track, t: float, p: Any, v: Any, sigma: float = 1.0) -> float:
 
 
 def after_turn() -> Track:
-    """A message 1 s after the first one, 1.5 m off its prediction."""
+    """A message 3 s after the first one, 6.3 m aside of its prediction and 4.5 m above."""
     track = Track()
     note(track, 10.0, (0, 0, 0), (4, 0, 0))
-    note(track, 11.0, (4.0, 0.9, 1.2), (3, 2, 0))
+    note(track, 13.0, (12.0, 6.3, -4.5), (3, 2, 0))
     return track
 
 
 def test_the_first_message_says_nothing() -> None:
     track = Track()
     assert note(track, 10.0, (3, -4, 5), (9, 9, 9)) == 0.0
-    np.testing.assert_array_equal(track.past, [10.0, 3, -4, 5, 9, 9, 9, 0.0, 0.0])
+    message = [10.0, 3, -4, 5, 9, 9, 9]
+    np.testing.assert_array_equal(track.past, [*message, 0.0, 0.0, 0.0, *message])
 
 
-def test_growth_of_a_turn_by_hand() -> None:
-    """2 (1.5 m - 0.35 (1 m + 1 s)) / 1 s; the next one 2 m off after 2 s, with 2 m of declared error."""
+def test_growth_by_hand() -> None:
+    """2.5 (6.3 m - 0.6 * 1 m - 0.9 * 3 s) / 3 s sideways, and of 4.5 m in height."""
     track = after_turn()
-    assert track.past.growth_mps == pytest.approx(1.6, rel=1e-12)
-    note(track, 13.0, (10.0, 4.0 + 0.9, 1.2), (3, 2, 0))  # on its prediction
-    assert track.past.growth_mps == pytest.approx(1.6 * math.exp(-2.0 / 40.0), rel=1e-12)
-    other = Track()
-    note(other, 0.0, (0, 0, 0), (5, 0, 0), sigma=2.0)
-    assert note(other, 2.0, (10.0 - 1.2, 0, 1.6), (5, 0, 0), sigma=2.0) == pytest.approx(0.6, rel=1e-12)
+    assert track.past.growth_mps == pytest.approx(2.5, rel=1e-12)
+    assert track.past.growth_down_mps == pytest.approx(1.0, rel=1e-12)
+    note(track, 16.0, (21.0, 12.3, -4.5), (3, 2, 0))  # on its prediction
+    assert track.past.growth_mps == pytest.approx(2.5 * math.exp(-3.0 / 40.0), rel=1e-12)
+    assert track.past.growth_down_mps == pytest.approx(math.exp(-3.0 / 40.0), rel=1e-12)
+
+
+def test_what_is_usual_grows_with_the_declared_error_and_up_to_four_seconds() -> None:
+    """0.6 * 2 m + 0.9 * 4 s = 4.8 m after 6 s."""
+    track = Track()
+    note(track, 0.0, (0, 0, 0), (5, 0, 0), sigma=2.0)
+    assert note(track, 6.0, (30.0, 7.2, 0), (5, 0, 0), sigma=2.0) == pytest.approx(1.0, rel=1e-12)
+
+
+def test_an_aircraft_that_gives_way_is_not_taken_for_one_that_manoeuvres() -> None:
+    """With 1 m/s^2 for three seconds, declared 3 m."""
+    track = Track()
+    for t in range(20):
+        turn = max(t - 10.0, 0.0)
+        aside = 0.5 * min(turn, 3.0) ** 2 + 3.0 * max(turn - 3.0, 0.0)
+        note(track, t, (4.0 * t, aside, 0.0), (4.0, min(turn, 3.0), 0.0), sigma=3.0)
+    assert track.past.growth_mps == 0.0
+
+
+def test_a_turn_without_a_climb_leaves_the_height_predictable() -> None:
+    track = Track()
+    note(track, 0.0, (0, 0, 0), (5, 0, 0))
+    note(track, 3.0, (5.0, 12.0, 0.0), (0, 5, 0))
+    assert track.past.growth_mps == k.GROWTH_MOST_MPS
+    assert track.past.growth_down_mps == 0.0
 
 
 def test_a_declared_error_under_a_metre_counts_as_one() -> None:
     for sigma in (0.0, 0.3, 1.0):
         track = Track()
         note(track, 10.0, (0, 0, 0), (4, 0, 0), sigma)
-        assert note(track, 11.0, (4.0, 0.9, 1.2), (3, 2, 0), sigma) == pytest.approx(1.6, rel=1e-12)
+        assert note(track, 13.0, (12.0, 6.3, 0.0), (3, 2, 0), sigma) == pytest.approx(2.5, rel=1e-12)
 
 
 def test_growth_is_bounded() -> None:
     track = Track()
     note(track, 0.0, (0, 0, 0), (0, 0, 0))
-    assert note(track, 1.0, (1e6, 0, 0), (0, 0, 0)) == k.GROWTH_MOST_MPS == 3.0
+    assert note(track, 3.0, (1e6, 0, 0), (0, 0, 0)) == k.GROWTH_MOST_MPS == 3.0
 
 
 def test_growth_decays_by_half_in_28_s() -> None:
     track = after_turn()
-    note(track, 12.0, (7.0, 2.9, 1.2), (3, 2, 0))
-    before = track.past.growth_mps
-    for second in range(1, 29):
-        note(track, 12.0 + second, (7.0 + 3 * second, 2.9 + 2 * second, 1.2), (3, 2, 0))
-    assert track.past.growth_mps == pytest.approx(before * math.exp(-28.0 / 40.0), rel=1e-9)
-    assert track.past.growth_mps == pytest.approx(0.5 * before, rel=0.01)
+    for second in range(3, 31):
+        note(track, 13.0 + second, (12.0 + 3 * second, 6.3 + 2 * second, -4.5), (3, 2, 0))
+    assert track.past.growth_mps == pytest.approx(2.5 * math.exp(-30.0 / 40.0), rel=1e-9)
 
 
-@pytest.mark.parametrize("t", [11.5, 11.89, 11.0, 10.5, -100.0, math.nan])
+@pytest.mark.parametrize("t", [13.5, 13.89, 13.0, 12.5, -100.0, math.nan])
 def test_near_and_older_messages_are_passed_over(t: float) -> None:
     """Ten messages a second say no more than one; the same one again and an older one say nothing."""
     track = after_turn()

@@ -16,7 +16,7 @@ def neighbour(listener, now_s=60.0):
     return one
 
 
-def off_line(aside_m, at_s=11.0):
+def off_line(aside_m, at_s=13.0):
     """Straight on, but `aside_m` to the side from `at_s` on: the declared velocity tells nothing of it."""
     line = straight()
     return lambda t: (line(t)[0] + (aside_m if t >= at_s else 0.0), *line(t)[1:])
@@ -25,31 +25,32 @@ def off_line(aside_m, at_s=11.0):
 @pytest.mark.parametrize(
     ("aside_m", "growth_mps"),
     [
-        # Declared 3 m and one second: 0.35 * (3 + 1) = 1.4 m are noise, twice the rest is the growth.
-        (2.0, 1.2),
-        (1.3, 0.0),
+        # Declared 3 m and three seconds: 0.6 * 3 m + 0.9 * 3 m = 4.5 m are usual; of the rest, divided by the
+        # time, 2.5 times is the growth.
+        (5.7, 1.0),
+        (4.4, 0.0),
         # More than 31 m would be another aircraft.
         (25.0, GROWTH_MOST_MPS),
     ],
 )
-def test_what_noise_does_not_explain_of_a_prediction_is_growth(aside_m, growth_mps):
+def test_an_unusual_deviation_from_a_prediction_is_growth(aside_m, growth_mps):
     listener = Listener()
-    fly(listener, off_line(aside_m), seconds(2))
-    assert neighbour(listener, 12.0).growth_mps == pytest.approx(growth_mps, abs=0.05)
+    fly(listener, off_line(aside_m), seconds(4))
+    assert neighbour(listener, 14.0).growth_mps == pytest.approx(growth_mps, abs=0.05)
 
 
 def test_growth_fades():
     listener = Listener()
-    fly(listener, off_line(2.0), seconds(42))
-    assert neighbour(listener).growth_mps == pytest.approx(1.2 * math.exp(-1.0), abs=0.05)
+    fly(listener, off_line(5.7), seconds(44))
+    assert neighbour(listener).growth_mps == pytest.approx(1.0 * math.exp(-39.0 / 40.0), abs=0.05)
 
 
 def test_a_turning_sender_is_known_to_turn_and_a_straight_one_not():
     turning, straight_on = Listener(), Listener()
     fly(turning, circle(10.0, 5.0), seconds(20))
     fly(straight_on, straight(), seconds(20))
-    # In a second 5 m/s^2 lead 2.5 m aside, of which 1.4 m may be noise.
-    assert neighbour(turning).growth_mps == pytest.approx(2.0 * (2.5 - 1.4), rel=0.15)
+    # Its turns lead 16 m aside in three seconds.
+    assert neighbour(turning).growth_mps == GROWTH_MOST_MPS
     assert neighbour(straight_on).growth_mps == 0.0
 
 
@@ -85,7 +86,8 @@ def test_a_climb_that_is_not_declared_is_growth_where_the_height_is_known(accura
     for at_s in seconds(20):
         height = {"alt_geodetic_m": 497.0 + 3.0 * (at_s - 10.0), "vertical_accuracy_m": accuracy_m}
         fly(listener, straight(), [at_s], **height)
-    assert (neighbour(listener).growth_mps > 2.0) is grows
+    assert (neighbour(listener).growth_down_mps > 1.0) is grows
+    assert neighbour(listener).growth_mps == 0.0
     assert neighbour(listener).vertical_known is grows
 
 
@@ -94,7 +96,7 @@ def test_a_turn_is_seen_also_where_the_height_comes_and_goes(unknown):
     listener = Listener()
     for number, at_s in enumerate(seconds(20)):
         fly(listener, circle(10.0, 5.0), [at_s], **(unknown if number % 2 else {}))
-    assert neighbour(listener).growth_mps == pytest.approx(2.0 * (2.5 - 1.4), rel=0.15)
+    assert neighbour(listener).growth_mps == GROWTH_MOST_MPS
 
 
 def test_what_is_thought_of_a_senders_clock_is_no_manoeuvre():

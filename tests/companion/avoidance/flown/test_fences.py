@@ -113,7 +113,7 @@ def test_no_fence_is_crossed_with_noise(name: str, limits: LimitsConfig, seed: i
     flight = fly(Law(AvoidanceConfig(), limits, path, fence), 45.0, sigma_m=1.5, seed=seed)
     error = np.linalg.norm(flight.error[:, :2], axis=1).max()
     assert room(fence, flight.position).min() > 4.9 - error
-    assert room(fence, flight.position + flight.error).min() < 5.0
+    assert room(fence, flight.position + flight.error).min() < 5.1
     assert not any("outside the fence" in result.limits for result in flight.results)
 
 

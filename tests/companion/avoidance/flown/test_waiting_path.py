@@ -79,8 +79,8 @@ def test_what_the_reserve_makes_up_for_in_30_s_is_let_be() -> None:
         again = Situation(100.2, 100.2, (400.8 - behind, 0.0, -50.0), (4.0, 0.0, 0.0), 1.0)
         one.decide(again)
         assert (one.late_s > 0.0) == late
-        # 1 m too far: the point slows down by 1 m / 10 s, of its 4 m/s.
-        assert one.late_s == pytest.approx(0.2 * 0.1 / 4.0 if late else 0.0, abs=1e-9)
+        # 1 m too far: the point slows down by 1 m / 15 s, of its 4 m/s.
+        assert one.late_s == pytest.approx(0.2 / 15.0 / 4.0 if late else 0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(6))

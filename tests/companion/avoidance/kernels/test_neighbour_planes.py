@@ -35,7 +35,7 @@ def planes_of(
     work = k.workspace(0, len(neighbours))
     work.planes[:] = np.nan
     work.asked[:] = np.nan
-    after, conflict = neighbour_planes(
+    after, conflict, _ = neighbour_planes(
         table, len(neighbours), own, k.Vector(*wanted), settings, history, len(EAST_THEN_NORTH),
         work.planes, first, work.seen, work.asked,
     )  # fmt: skip
@@ -48,7 +48,7 @@ def planes_of(
 def other(position: Any, velocity: Any = (0.0, 0.0, 0.0), age_s: float = 0.0, **more: float) -> k.Other:
     """Positions are given from ours."""
     values = {"sigma_m": 0.0, "sigma_mps": 0.0, "growth_mps": 0.0, "silent": 0.0, "share": 0.5}
-    values |= {"vertical_known": 1.0, "crewed": 0.0, **more}
+    values |= {"vertical_known": 1.0, "crewed": 0.0, "growth_down_mps": 0.0, **more}
     n, e, d = (a + b for a, b in zip(position, PLACE, strict=True))
     return k.Other(n, e, d, *velocity, age_s, **values)
 
@@ -56,7 +56,7 @@ def other(position: Any, velocity: Any = (0.0, 0.0, 0.0), age_s: float = 0.0, **
 def level_plane(away: Any, own: Any, velocity: Any, radius_m: float, share: float = 0.5) -> Any:
     """The plane of a level encounter, in which the volume's height does not matter."""
     relative = k.Vector(own[0] - velocity[0], own[1] - velocity[1], 0.0)
-    n, s = k.half_space(k.Vector(*away, 0.0), relative, radius_m, 20.0, 2.0)
+    n, s = k.half_space(k.Vector(*away, 0.0), relative, radius_m, 20.0, 1.0)
     return pytest.approx([*n, n.n * own[0] + n.e * own[1] + share * s])
 
 

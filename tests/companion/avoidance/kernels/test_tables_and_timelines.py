@@ -14,8 +14,8 @@ from companion.avoidance import kernels as k
 
 
 def test_rows_are_written_and_read_field_by_field() -> None:
-    past = k.Past(*map(float, range(1, 10)))
-    other = k.Other(*map(float, range(1, 15)))
+    past = k.Past(*map(float, range(1, 18)))
+    other = k.Other(*map(float, range(1, 16)))
     pasts, others = np.full((3, len(past)), -1.0), np.full((3, len(other)), -1.0)
     k.put_past(pasts, 1, tuple(past))
     k.put_other(others, 1, other)
@@ -25,7 +25,7 @@ def test_rows_are_written_and_read_field_by_field() -> None:
     assert others[1].tolist() == list(other)
     assert (pasts[[0, 2]] == -1.0).all()
     assert (others[[0, 2]] == -1.0).all()
-    assert k.seen_at(np.arange(8.0).reshape(1, 8), 0) == k.Seen(*map(float, range(8)))
+    assert k.seen_at(np.arange(9.0).reshape(1, 9), 0) == k.Seen(*map(float, range(9)))
     assert k.settings_at(np.arange(24.0).reshape(1, 24), 0) == k.Settings(*map(float, range(24)))
 
 
