@@ -97,9 +97,10 @@ def _measured(part: tuple[Cell, Sequence[int]]) -> list[Measures]:
 def markdown(lines: Sequence[tables.Line]) -> str:
     """The table as Markdown."""
     titles = [
-        "scenario", "aircraft", "law", "flights", "below 10 m", "deviation, median / worst (m)",
+        "scenario", "aircraft", "law", "flights", "below 10 m", "sNMAC", "deviation, median / worst (m)",
         "off its place at the end, median / worst (m)", f"all within {ARRIVED_M:g} m of it",
-        "needless deviation, median / worst (m)", "conflict lasts (s)", "changes of side",
+        "needless deviation, median / worst (m)", "time to clear, median (s) / not clear at the end",
+        "changes of side",
     ]  # fmt: skip
     rows = [titles, ["---"] * len(titles), *(_row(line) for line in lines)]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
@@ -113,11 +114,12 @@ def _row(line: tables.Line) -> list[str]:
         line.cell.law,
         str(f["runs"]),
         str(f["losses_of_separation"]),
+        str(f["snmac"]),
         _pair(f["median_max_deviation_m"], f["max_deviation_m"]),
         _pair(f["median_end_m"], f["max_end_m"]),
         str(f["everybody_arrived"]),
         _pair(f["median_needless_m"], f["max_needless_m"]),
-        f"{f['median_clear_s']:.0f}",
+        f"{_NOTHING if f['median_clear_s'] is None else round(f['median_clear_s'])} / {f['not_clear']}",
         f"{f['median_sides']:.0f}",
     ]
 
