@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from companion.arrays import Bools, Floats
+from companion.arrays import Floats
 from companion.avoidance import kernels, law
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
@@ -25,7 +25,8 @@ from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.generators import draw
 from ground_tools.campaign.peers import flown
 from ground_tools.campaign.peers.flown import Flown
-from ground_tools.campaign.scenarios import layouts, missions
+from ground_tools.campaign.scenarios import files, layouts, missions
+from ground_tools.campaign.scenarios.surroundings import CREWED_MPS, crewed_ways, fence_beside
 from ground_tools.campaign.world import World
 from ground_tools.common.kept_lines import Kept
 from ground_tools.results import sources
@@ -64,9 +65,8 @@ ENCOUNTERS = ("ground_tools.campaign.generators", "companion.avoidance.trajector
 """Modules that draw an encounter."""
 SCENARIOS = ("ground_tools.campaign.scenarios.layouts", "ground_tools.campaign.scenarios.missions")
 """Modules that draw scenarios and the paths of intruders on missions."""
-CREWED_MPS = 50.0
-FENCE_ASIDE_M = 20.0
-_FAR_M = 1e4
+FILES = "ground_tools.campaign.scenarios.files"
+"""Module that makes flights of files of others."""
 _RESERVE = 0.6
 """Ratio of planned to greatest speed in encounters in which each aircraft has its own limits."""
 SEPARATION_M = 2.0 * AvoidanceConfig().conflict_radius_m
@@ -76,6 +76,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     """Encounters of one kind, flown by one law in one world. They differ only in their seeds."""
 
     generator: str
+    """One of `generators.NAMES`, a key of `layouts.SCENARIOS`, or an episode of a file (`files.name_of`)."""
     aircraft: int
     law: str = "dmuca"
     """A key of `LAWS`, or a peer as `peers.laws.of` reads it."""
@@ -211,7 +212,7 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
         times, points = missions.flown(cell.intruder, times, points, kinds != vehicles.AVOIDS, seed)
     crewed = (kinds == vehicles.CREWED) | (kinds == vehicles.BAROMETRIC)
     if crewed.any():
-        points[crewed] = _crewed_ways(times, points, crewed, seed)
+        points[crewed] = crewed_ways(times, points, crewed, seed)
     paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
     limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
     settings = np.array(
@@ -220,7 +221,7 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
             for own, path, kind in zip(limits, paths, kinds.tolist(), strict=True)
         ]
     )
-    fence = _fence_beside(points) if cell.world == "fence" else kernels.NO_WALLS
+    fence = fence_beside(points) if cell.world == "fence" else kernels.NO_WALLS
     world = msgspec.structs.replace(
         WORLDS[cell.world],
         start_s=float(times.min()),
@@ -255,11 +256,13 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
 
 
 def _drawn(cell: Cell, seed: int) -> tuple[Floats, Floats]:
-    """The paths that the generator or scenario of a cell draws.
+    """The paths that the generator, scenario or file of a cell draws.
 
     Raises:
         ConfigError: it cannot draw them.
     """
+    if cell.generator.startswith(files.PREFIX):
+        return files.draw(cell.generator, seed)
     drawing = layouts.draw if cell.generator in layouts.SCENARIOS else draw
     try:
         return drawing(cell.generator, cell.aircraft, cell.speed_mps, seed)
@@ -306,49 +309,6 @@ def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
     return LimitsConfig(max_speed_mps=speed)
 
 
-def _crewed_ways(times: Floats, points: Floats, crewed: Bools, seed: int) -> Floats:
-    """Waypoints of the crewed aircraft: level and straight at `CREWED_MPS` through the mean position of the
-    others at the middle of the flight, with random headings.
-
-    Args:
-        times, points: shapes (A, K) and (A, K, 3).
-        crewed: shape (A,), which of the aircraft are crewed.
-    """
-    rng = np.random.default_rng([seed, 8])
-    middle = 0.5 * (times.min() + times.max())
-    others = [
-        [np.interp(middle, t, p[:, c]) for c in range(3)]
-        for t, p in zip(times[~crewed], points[~crewed], strict=True)
-    ]
-    heading = rng.uniform(0.0, 2.0 * math.pi, crewed.sum())
-    way = CREWED_MPS * np.column_stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)])
-    ways: Floats = np.mean(others, axis=0) + (times[crewed] - middle)[:, :, None] * way[:, None]
-    return ways
-
-
-def _fence_beside(points: Floats) -> Floats:
-    """One inclusion area with a border beside all paths and parallel to them, to the right of the first one.
-
-    Raises:
-        ConfigError: the paths do not run along one line.
-    """
-    along = points[0, -1, :2] - points[0, 0, :2]
-    along = along / np.linalg.norm(along)
-    right = np.array([-along[1], along[0]])
-    aside = points[:, :, :2] @ right
-    if np.ptp(aside) > 2.0 * FENCE_ASIDE_M:
-        raise ConfigError(
-            "--world: fence: the paths must be along one line; allowed: head-on or overtaking encounters"
-        )
-    edge = aside.max() + FENCE_ASIDE_M
-    corners = [
-        sign * _FAR_M * along + offset * right
-        for sign, offset in ((1.0, edge), (-1.0, edge), (-1.0, -_FAR_M), (1.0, -_FAR_M))
-    ]
-    around = zip(corners, (*corners[1:], corners[0]), strict=True)
-    return np.array([kernels.Wall(0.0, kernels.IN_POLYGON, a[0], a[1], b[0], b[1], 0.0) for a, b in around])
-
-
 def kept(folder: Path, cell: Cell) -> Kept[Row]:
     """The stored results of a cell, its rows by seed.
 
@@ -366,15 +326,19 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
     return Kept(folder / f"{cell.name}.jsonl", header, Row, attrgetter("seed"))
 
 
-def software(*, twins: bool = False, peers: bool = False, scenarios: bool = False) -> str:
+def software(
+    *, twins: bool = False, peers: bool = False, scenarios: bool = False, others: bool = False
+) -> str:
     """Digest of the code of law, world and encounters, on which the flights depend.
 
     Args:
         twins: also that of the tracks.
         peers: also that of the laws of `peers`.
         scenarios: also that of missions and scenarios.
+        others: also that of flights from files.
     """
     also = [
+        *([FILES] if others else []),
         *([TWINS] if twins else []),
         *([PEERS] if peers else []),
         *(SCENARIOS if scenarios else []),
@@ -389,6 +353,7 @@ def software_of(cells: Iterable[Cell]) -> str:
         twins=any(cell.twins for cell in cells),
         peers=any(cell.law not in LAWS for cell in cells),
         scenarios=any(cell.on_missions or cell.generator in layouts.SCENARIOS for cell in cells),
+        others=any(cell.generator.startswith(files.PREFIX) for cell in cells),
     )
 
 

@@ -1,8 +1,9 @@
 """Reads scenario files of the BlueSky simulator (`.scn`) as planned paths.
 
-A line is `HH:MM:SS.hh>COMMAND arguments`, with arguments apart by commas or blanks; `#` begins a comment and a
-backslash at the end continues a line (`readscn` in `bluesky/stack/simstack.py`, version 22fdf9e). Speeds are
-calibrated airspeeds in knots or Mach numbers, altitudes are feet or flight levels, vertical rates are ft/min.
+A line is `HH:MM:SS.hh>COMMAND arguments`, with commas or blanks between the arguments. `#` begins a comment,
+and a backslash at the end continues a line (`readscn` in `bluesky/stack/simstack.py`, version 22fdf9e).
+Speeds are calibrated airspeeds in knots or Mach numbers, altitudes are feet or flight levels, and vertical
+rates are ft/min.
 
 What moves an aircraft is understood: CRE, ADDWPT, DEST, HDG, SPD, ALT, VS and DEL, and DEFWPT for places
 with names. Everything else is counted by its name. The motion is simpler than in BlueSky: an aircraft flies
@@ -15,7 +16,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -30,7 +31,17 @@ _LARGEST_FILE: Final = 64_000_000
 """Bytes."""
 _RADIUS_M: Final = 6_371_000.0
 _TIME: Final = re.compile(r"\s*(\d{1,4}):(\d{1,2}):(\d{1,2}(?:\.\d*)?)\s*>(.*)")
-_FEWEST: Final = {"CRE": 7, "ADDWPT": 3, "DEST": 2, "HDG": 2, "SPD": 2, "ALT": 2, "VS": 2, "DEL": 1, "DEFWPT": 3}
+_FEWEST: Final = {
+    "CRE": 7,
+    "ADDWPT": 2,
+    "DEST": 2,
+    "HDG": 2,
+    "SPD": 2,
+    "ALT": 2,
+    "VS": 2,
+    "DEL": 1,
+    "DEFWPT": 3,
+}
 """Commands that are understood, and how many arguments they need."""
 
 Place = tuple[float, float]
@@ -292,11 +303,11 @@ def advance(craft: _Craft, until_s: float, flat: Callable[[Place], tuple[float, 
     t, n, e, up = craft.at
     if not craft.plan.goes_on or until_s <= t:
         return
-    if craft.level is not None and craft.climb != 0.0 and (level_s := (craft.level - up) / craft.climb) > 0.0:
-        if t + level_s < until_s:
-            craft.at = _moved(craft, level_s)
-            craft.climb, craft.level = 0.0, None
-            _corner(craft)
+    level_s = (craft.level - up) / craft.climb if craft.level is not None and craft.climb != 0.0 else -1.0
+    if 0.0 < level_s < until_s - t:
+        craft.at = _moved(craft, level_s)
+        craft.climb, craft.level = 0.0, None
+        _corner(craft)
     craft.at = _moved(craft, until_s - craft.at[0])
 
 
@@ -336,7 +347,15 @@ def _finish(craft: _Craft, fleet: _Fleet) -> None:
 
 def _orders(text: str, skipped: Counter[str]) -> list[_Order]:
     """The understood orders of a file by their time."""
-    found, before = [], ""
+    lines = list(_lines(text, skipped))
+    names = {words[1].upper() for _, words in lines if len(words) > 1 and words[0].upper() == "CRE"}
+    found = (_named(time_s, words, names, skipped) for time_s, words in lines)
+    return sorted((order for order in found if order is not None), key=lambda order: order.time_s)
+
+
+def _lines(text: str, skipped: Counter[str]) -> Iterator[tuple[float, list[str]]]:
+    """Time (s) and words of each line."""
+    before = ""
     for raw in text.splitlines():
         line = before + raw.split("#")[0].strip()
         before = ""
@@ -349,21 +368,17 @@ def _orders(text: str, skipped: Counter[str]) -> list[_Order]:
         if match is None:
             skipped["a line without a time"] += 1
             continue
-        time_s = 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3])
         words = re.sub(r",(?=\s*,)", ",@", match[4]).replace(",", " ").split()
-        order = _named(time_s, words, skipped)
-        if order is not None:
-            found.append(order)
-    return sorted(found, key=lambda order: order.time_s)
+        if words:
+            yield 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3]), words
+        else:
+            skipped["a line without a command"] += 1
 
 
-def _named(time_s: float, words: Sequence[str], skipped: Counter[str]) -> _Order | None:
+def _named(time_s: float, words: Sequence[str], names: set[str], skipped: Counter[str]) -> _Order | None:
     """The order of a line; None, and counted, if it is not understood."""
-    if not words:
-        skipped["a line without a command"] += 1
-        return None
     command, rest = words[0].upper(), list(words[1:])
-    if command not in _FEWEST and rest and rest[0].upper() in _FEWEST:  # the aircraft may come first
+    if command in names and rest:  # the aircraft may come first
         command, rest = rest[0].upper(), [words[0], *rest[1:]]
     if command not in _FEWEST:
         skipped[command[:20]] += 1

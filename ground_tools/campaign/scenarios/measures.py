@@ -10,7 +10,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from companion.arrays import AnyFloats, Bools, Floats
+from companion.arrays import AnyFloats, Floats
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import vehicles
 from ground_tools.campaign.cells import Cell, Look, Row
