@@ -23,7 +23,7 @@ from companion.errors import ConfigError
 from ground_tools.campaign import flight, outcome, powers, vehicles
 from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.generators import draw
-from ground_tools.campaign.peers import flown
+from ground_tools.campaign.peers import flown, omniscient
 from ground_tools.campaign.peers.flown import Flown
 from ground_tools.campaign.scenarios import files, layouts, missions
 from ground_tools.campaign.scenarios.surroundings import CREWED_MPS, crewed_ways, fence_beside
@@ -61,6 +61,8 @@ TWINS = "ground_tools.campaign.twins"
 """Module that flies an encounter in which two aircraft send one identity."""
 PEERS = "ground_tools.campaign.peers.laws"
 """Module that names the laws of others."""
+PLANNED = "ground_tools.campaign.peers.omniscient"
+"""Module of the law that plans everything before the flight."""
 ENCOUNTERS = ("ground_tools.campaign.generators", "companion.avoidance.trajectory")
 """Modules that draw an encounter."""
 SCENARIOS = ("ground_tools.campaign.scenarios.layouts", "ground_tools.campaign.scenarios.missions")
@@ -245,6 +247,11 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
             for kind, own, path in zip(kinds.tolist(), limits, paths, strict=True)
         ]
         twin_flight.fly(rng, conditions, times, points, fence, settings, kinds, laws, pairs, result)
+    elif law_flown.planned:
+        futures = look(msgspec.structs.replace(cell, law="none"), seed).trace
+        omniscient.fly(
+            rng, conditions, times, points, fence, settings, kinds, futures, trace, log, pairs, result
+        )
     else:
         flight.fly(
             rng, conditions, times, points, fence, settings, kinds, trace, log, pairs, result, measured,
@@ -277,6 +284,10 @@ def flown_by(cell: Cell) -> Flown:
         ConfigError: there is no such law, or it cannot fly this cell.
     """
     found = flown.flown_by(cell.law, dict(LAWS.items()))
+    crewed = found.planned and cell.intruders > 0.0 and cell.intruder in ("crewed", "barometric")
+    if found.planned and (cell.world != "calm" or crewed):
+        what = f"--intruder {cell.intruder}" if crewed else f"--world {cell.world}"
+        raise ConfigError(f"--law {cell.law} cannot be combined with {what}")
     if cell.law not in LAWS and (cell.twins or (cell.world == "fence" and found.peer is not None)):
         what = f"--intruder {cell.intruder}" if cell.twins else "--world fence"
         raise ConfigError(f"--law {cell.law} cannot be combined with {what}; allowed: {', '.join(LAWS)}")
@@ -327,18 +338,25 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
 
 
 def software(
-    *, twins: bool = False, peers: bool = False, scenarios: bool = False, others: bool = False
+    *,
+    twins: bool = False,
+    peers: bool = False,
+    planned: bool = False,
+    scenarios: bool = False,
+    others: bool = False,
 ) -> str:
     """Digest of the code of law, world and encounters, on which the flights depend.
 
     Args:
         twins: also that of the tracks.
         peers: also that of the laws of `peers`.
+        planned: also that of `peers.omniscient`.
         scenarios: also that of missions and scenarios.
         others: also that of flights from files.
     """
     also = [
         *([FILES] if others else []),
+        *([PLANNED] if planned else []),
         *([TWINS] if twins else []),
         *([PEERS] if peers else []),
         *(SCENARIOS if scenarios else []),
@@ -351,7 +369,8 @@ def software_of(cells: Iterable[Cell]) -> str:
     cells = tuple(cells)
     return software(
         twins=any(cell.twins for cell in cells),
-        peers=any(cell.law not in LAWS for cell in cells),
+        peers=any(cell.law not in LAWS and cell.law != omniscient.NAME for cell in cells),
+        planned=any(cell.law == omniscient.NAME for cell in cells),
         scenarios=any(cell.on_missions or cell.generator in layouts.SCENARIOS for cell in cells),
         others=any(cell.generator.startswith(files.PREFIX) for cell in cells),
     )
