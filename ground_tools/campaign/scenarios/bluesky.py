@@ -18,17 +18,12 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Final
 
-from companion.errors import ConfigError
 from ground_tools.campaign.encounters.sampling import FOOT_M, KNOT_MPS
 
 CLIMB_MPS: Final = 1500.0 * FOOT_M / 60.0
 """Vertical rate of a change of altitude for which the file gives none."""
-MOST_AIRCRAFT: Final = 20_000
-_LARGEST_FILE: Final = 64_000_000
-"""Bytes."""
 _RADIUS_M: Final = 6_371_000.0
 _TIME: Final = re.compile(r"\s*(\d{1,4}):(\d{1,2}):(\d{1,2}(?:\.\d*)?)\s*>(.*)")
 _FEWEST: Final = {
@@ -109,35 +104,12 @@ class _Craft:
     route: list[_Fix] = field(default_factory=list)
 
 
-def read(path: Path) -> Scenario:
-    """Read a scenario file.
-
-    Raises:
-        ConfigError: the file cannot be read, or it creates no aircraft or too many.
-    """
-    try:
-        with path.open("rb") as file:
-            raw = file.read(_LARGEST_FILE + 1)
-    except OSError as error:
-        raise ConfigError(f"--scn: {path}: cannot be read: {error.strerror}") from error
-    if len(raw) > _LARGEST_FILE:
-        raise ConfigError(f"--scn: {path}: too large; allowed: up to {_LARGEST_FILE:,} bytes")
-    found = parse(raw.decode("utf-8", "replace"))
-    if not 2 <= len(found.plans) <= MOST_AIRCRAFT:
-        said = ", ".join(f"{name} ({count})" for name, count in found.skipped.most_common(5)) or "nothing"
-        raise ConfigError(
-            f"--scn: {path}: it creates {len(found.plans)} aircraft; allowed: 2 to {MOST_AIRCRAFT:,}; "
-            f"not understood: {said}"
-        )
-    return found
-
-
 def parse(text: str) -> Scenario:
     """The scenario in the text of a file. Never raises: what is not understood is counted."""
     skipped: Counter[str] = Counter()
     orders = _orders(text, skipped)
     created = [order for order in orders if order.command == "CRE"]
-    places = [place for order in created if (place := _place(order.words[2:4])) is not None]
+    places = [place for order in created if (place := place_of(order.words[2:4])) is not None]
     if not places:
         return Scenario([], skipped)
     middle = sum(p[0] for p in places) / len(places), sum(p[1] for p in places) / len(places)
@@ -172,7 +144,7 @@ class _Fleet:
         if order.command == "CRE":
             wrong = self._create(order)
         elif order.command == "DEFWPT":
-            place = _place(order.words[1:3])
+            place = place_of(order.words[1:3])
             wrong = None if place is not None else "place"
             if place is not None:
                 self._named[order.words[0].upper()] = place
@@ -197,7 +169,7 @@ class _Fleet:
 
     def _create(self, order: _Order) -> str | None:
         name, _, lat, lon, heading, altitude, speed = order.words[:7]
-        place, up, way = _place([lat, lon]), _altitude(altitude), _number(heading)
+        place, up, way = place_of([lat, lon]), _altitude(altitude), _number(heading)
         if place is None:
             return "place"
         if way is None:
@@ -216,14 +188,12 @@ class _Fleet:
         return None
 
     def flat(self, place: Place) -> tuple[float, float]:
-        """North and east (m) of a place, on a map with true distances along the middle's axes."""
-        east = (place[1] - self._middle[1] + 180.0) % 360.0 - 180.0
-        across = math.cos(math.radians(self._middle[0]))
-        return _RADIUS_M * math.radians(place[0] - self._middle[0]), _RADIUS_M * math.radians(east) * across
+        """North and east (m) of a place."""
+        return flat(place, self._middle)
 
     def _where(self, words: list[str]) -> tuple[Place, int] | None:
         """A place, and how many words name it."""
-        if (place := _place(words[:2])) is not None:
+        if (place := place_of(words[:2])) is not None:
             return place, 2
         named = self._named.get(words[0].upper()) if words else None
         return None if named is None else (named, 1)
@@ -397,7 +367,15 @@ def _number(word: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _place(words: Sequence[str]) -> Place | None:
+def flat(place: Place, middle: Place) -> tuple[float, float]:
+    """North and east (m) of a place, on a map with true distances along the axes of its middle."""
+    east = (place[1] - middle[1] + 180.0) % 360.0 - 180.0
+    across = math.cos(math.radians(middle[0]))
+    return _RADIUS_M * math.radians(place[0] - middle[0]), _RADIUS_M * math.radians(east) * across
+
+
+def place_of(words: Sequence[str]) -> Place | None:
+    """The place of two words, latitude and longitude in degrees; None if they are none."""
     if len(words) < 2:
         return None
     lat, lon = _number(words[0]), _number(words[1])

@@ -45,9 +45,9 @@ class Source(NamedTuple):
     """One file."""
 
     path: Path
+    zone_m: float | None
+    """What BlueSky's protected zone becomes; None: nothing is scaled."""
     found: files.Contents
-    flown: int
-    """Number of episodes that are flown."""
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -55,13 +55,15 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("scenarios", nargs="*", metavar="SCENARIO",
                          help=f"what to fly: {', '.join(TABLE)} (default: all)")  # fmt: skip
     command.add_argument("--scn", nargs="+", type=Path, default=(), metavar="FILE",
-                         help="fly scenario files of BlueSky instead")  # fmt: skip
+                         help="fly scenario files of BlueSky (.scn) or flight intentions of Metropolis 2 "
+                         "(.csv) instead")  # fmt: skip
     command.add_argument("--zone", type=float, default=None, metavar="M",
-                         help="scale files so that BlueSky's protected zone, 5 NM and 1,000 ft, becomes "
+                         help="scale .scn files so that BlueSky's protected zone, 5 NM and 1,000 ft, becomes "
                          f"M metres, and speeds to those of small aircraft (default: "
                          f"{files.SMALL_ZONE_M:g})")  # fmt: skip
     command.add_argument("--unscaled", action="store_true",
-                         help="fly files with their own lengths and speeds")  # fmt: skip
+                         help="fly .scn files with their own lengths and speeds, as .csv files always "
+                         "are")  # fmt: skip
     command.add_argument(
         "--episodes", type=int, default=MOST_EPISODES, metavar="N",
         help=f"fly the first N episodes of each file (default: {MOST_EPISODES})",
@@ -95,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
     seeds, sources = seeds_of(args.seeds), _sources(args)
-    wanted = _of_files(sources, args.laws, _zone(args)) if args.scn else _of_names(args)
+    wanted = _of_files(sources, args.laws) if args.scn else _of_names(args)
     for one in wanted:
         campaign.flown_by(one.cells[0])
     found: dict[Cell, list[Measures]] = {}
@@ -162,14 +164,17 @@ def _sources(args: argparse.Namespace) -> list[Source]:
         raise ConfigError("--scn cannot be combined with names of scenarios or with --aircraft")
     if not 1 <= args.episodes <= 10_000:
         raise ConfigError(f"--episodes: {args.episodes} is out of range; allowed: 1 to 10000")
-    found = [(path, files.contents(path, zone)) for path in args.scn]
-    return [Source(path, held, min(len(held.episodes), args.episodes)) for path, held in found]
+    zones = [None if path.suffix.lower() == ".csv" else zone for path in args.scn]
+    return [
+        Source(path, one, files.contents(path, one, args.episodes))
+        for path, one in zip(args.scn, zones, strict=True)
+    ]
 
 
-def _of_files(sources: Sequence[Source], laws: Sequence[str], zone: float | None) -> list[Flown]:
+def _of_files(sources: Sequence[Source], laws: Sequence[str]) -> list[Flown]:
     wanted = []
-    for path, found, flown in sources:
-        largest_first = sorted(range(flown), key=lambda i: -found.episodes[i].aircraft)
+    for path, zone, found in sources:
+        largest_first = sorted(range(len(found.episodes)), key=lambda i: -found.episodes[i].aircraft)
         for law in laws:
             episodes = [
                 Cell(
@@ -190,7 +195,7 @@ def _told(source: Source) -> dict[str, Any]:
         "file": str(source.path),
         "aircraft": source.found.aircraft,
         "episodes": len(source.found.episodes),
-        "episodes_flown": source.flown,
+        "all_episodes": source.found.whole,
         "conflicts_left_out": source.found.left_out,
         "not_understood": dict(source.found.skipped),
     }
@@ -200,11 +205,11 @@ def _sentence(source: Source) -> str:
     found, skipped = source.found, source.found.skipped
     named = ", ".join(f"{name} ({count:,})" for name, count in skipped[:_MOST_NAMED])
     rest = sum(count for _, count in skipped[_MOST_NAMED:])
+    number = len(found.episodes)
+    flown = f"{number:,} {'episode' if number == 1 else 'episodes'}{'' if found.whole else ' of more'}"
     return (
-        f"{source.path}: {found.aircraft:,} aircraft, {source.flown:,} of {len(found.episodes):,} "
-        "episodes flown; "
-        f"conflicts of the plan in none of them: {found.left_out:,}; not understood: "
-        f"{named or 'nothing'}{f' and {rest:,} more' if rest else ''}"
+        f"{source.path}: {found.aircraft:,} aircraft, {flown}; conflicts of the plan that are in none: "
+        f"{found.left_out:,}; not understood: {named or 'nothing'}{f' and {rest:,} more' if rest else ''}"
     )
 
 

@@ -20,7 +20,7 @@ from companion.arrays import AnyFloats, Floats
 from companion.errors import ConfigError
 from ground_tools.campaign.encounters.sampling import FOOT_M
 from ground_tools.campaign.generators import HEIGHT_M
-from ground_tools.campaign.scenarios import bluesky
+from ground_tools.campaign.scenarios import bluesky, metropolis
 
 PREFIX: Final = "file:"
 ZONE_M, ZONE_HEIGHT_M = 5.0 * 1852.0, 1000.0 * FOOT_M
@@ -37,6 +37,10 @@ AROUND_S: Final = 60.0
 REACH_M: Final = 300.0
 """Aircraft that come nearer than this to the place of a conflict belong to its episode."""
 MOST_AIRCRAFT: Final = 50
+LARGEST_FLEET: Final = 20_000
+"""Most aircraft of a file."""
+_LARGEST_FILE: Final = 64_000_000
+"""Bytes."""
 _TOGETHER_S: Final = 1.0
 _LONGEST_S: Final = 900.0
 """Longest episode of aircraft that are all created and end together."""
@@ -73,8 +77,11 @@ class Contents(NamedTuple):
     episodes: tuple[Episode, ...]
     aircraft: int
     """Number of aircraft of the file."""
+    whole: bool
+    """Whether these are all episodes of the file."""
     left_out: int
-    """Conflicts of the plan that are in no episode, because one of the two is in the air too shortly."""
+    """Conflicts of the plan, up to the last episode, that are in none, because one of the two is in the air
+    too shortly."""
     skipped: tuple[tuple[str, int], ...]
     """What was not understood, and how often; the most frequent first."""
     speed_mps: float
@@ -108,28 +115,32 @@ def draw(name: str, seed: int) -> tuple[Floats, Floats]:
     Raises:
         ConfigError: the file cannot be read, or there is no such episode.
     """
-    _, zone, number, path = name.split(":", 3)
-    episodes = contents(Path(path), None if zone == "-" else float(zone)).episodes
-    if int(number) >= len(episodes):
+    _, zone, text, path = name.split(":", 3)
+    number = int(text)
+    # Read in steps, so that few of the episodes of a large file are looked for again and again.
+    most = 100 * (number // 100 + 1)
+    episodes = contents(Path(path), None if zone == "-" else float(zone), most).episodes
+    if number >= len(episodes):
         raise ConfigError(f"--scn: {path}: no episode {number}; there are {len(episodes)}")
-    episode = episodes[int(number)]
-    rng = np.random.default_rng([_ORDER, int(number), seed])
+    episode = episodes[number]
+    rng = np.random.default_rng([_ORDER, number, seed])
     return episode.times, episode.points + rng.uniform(-_JITTER_M, _JITTER_M, (episode.aircraft, 1, 3))
 
 
 @lru_cache(maxsize=16)
-def contents(path: Path, zone_m: float | None) -> Contents:
-    """The episodes of a file.
+def contents(path: Path, zone_m: float | None, most: int) -> Contents:
+    """The episodes of a file: flight intentions (`metropolis`) if its name ends in `.csv`, else `bluesky`.
 
     Args:
         zone_m: as in `name_of`.
+        most: number of episodes after which no more are looked for.
 
     Raises:
         ConfigError: the file cannot be read, or nothing happens in it.
     """
-    scenario = bluesky.read(path)
+    scenario = _read(path)
     paths = _scaled(_flown(scenario.plans), zone_m)
-    episodes, left_out = _episodes(paths)
+    episodes, whole, left_out = _episodes(paths, most)
     if not episodes:
         raise ConfigError(
             f"--scn: {path}: no two of its {len(paths)} aircraft are planned to come within {NEAR_M:g} m of "
@@ -138,7 +149,31 @@ def contents(path: Path, zone_m: float | None) -> Contents:
     fastest = max(episode.speed_mps for episode in episodes)
     speed = LEAST_MPS if zone_m is not None else max(fastest / CRUISE, LEAST_MPS)
     skipped = tuple(scenario.skipped.most_common())
-    return Contents(tuple(episodes), len(paths), left_out, skipped, speed)
+    return Contents(tuple(episodes), len(paths), whole, left_out, skipped, speed)
+
+
+def _read(path: Path) -> bluesky.Scenario:
+    """What a file says.
+
+    Raises:
+        ConfigError: the file cannot be read, or it has too few or too many aircraft.
+    """
+    try:
+        with path.open("rb") as file:
+            raw = file.read(_LARGEST_FILE + 1)
+    except OSError as error:
+        raise ConfigError(f"--scn: {path}: cannot be read: {error.strerror}") from error
+    if len(raw) > _LARGEST_FILE:
+        raise ConfigError(f"--scn: {path}: too large; allowed: up to {_LARGEST_FILE:,} bytes")
+    text = raw.decode("utf-8", "replace")
+    found = (metropolis if path.suffix.lower() == ".csv" else bluesky).parse(text)
+    if not 2 <= len(found.plans) <= LARGEST_FLEET:
+        said = ", ".join(f"{name} ({count})" for name, count in found.skipped.most_common(5)) or "nothing"
+        raise ConfigError(
+            f"--scn: {path}: it has {len(found.plans)} aircraft; allowed: 2 to {LARGEST_FLEET:,}; "
+            f"not understood: {said}"
+        )
+    return found
 
 
 def _flown(plans: Sequence[bluesky.Plan]) -> list[_Path]:
@@ -204,15 +239,15 @@ def _fastest(path: _Path) -> float:
     return float((way / np.diff(path.times)).max())
 
 
-def _episodes(paths: Sequence[_Path]) -> tuple[list[Episode], int]:
-    """The episodes, and the number of conflicts that are in none."""
+def _episodes(paths: Sequence[_Path], most: int) -> tuple[list[Episode], bool, int]:
+    """The first episodes, whether these are all, and the number of conflicts that are in none."""
     if not paths:
-        return [], 0
+        return [], True, 0
     begins = np.array([path.times[0] for path in paths])
     ends = np.array([path.times[-1] for path in paths])
     if len(paths) <= MOST_AIRCRAFT and np.ptp(begins) <= _TOGETHER_S and np.ptp(ends) <= _TOGETHER_S:
         start_s = float(begins.max())
-        return [_cut(paths, start_s, min(float(ends.min()), start_s + _LONGEST_S))], 0
+        return [_cut(paths, start_s, min(float(ends.min()), start_s + _LONGEST_S))], True, 0
     found: list[Episode] = []
     members: list[tuple[float, set[int]]] = []
     left_out = 0
@@ -223,11 +258,13 @@ def _episodes(paths: Sequence[_Path]) -> tuple[list[Episode], int]:
         if not (inside[i] and inside[j]):
             left_out += 1
             continue
+        if len(found) == most:
+            return found, False, left_out
         near = _nearest(paths, np.flatnonzero(inside).tolist(), _at(paths[i], at_s), at_s)
         chosen = [i, j, *(other for other in near if other not in (i, j))][:MOST_AIRCRAFT]
         members.append((at_s, set(chosen)))
         found.append(_cut([paths[c] for c in chosen], at_s - AROUND_S, at_s + AROUND_S))
-    return found, left_out
+    return found, True, left_out
 
 
 def _conflicts(

@@ -15,7 +15,7 @@ from ground_tools import cli
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign.cells import Cell
 from ground_tools.campaign.generators import HEIGHT_M
-from ground_tools.campaign.scenarios import bluesky, files
+from ground_tools.campaign.scenarios import bluesky, files, metropolis
 
 KNOT = 1852.0 / 3600.0
 DEGREE_M = math.radians(1.0) * 6_371_000.0
@@ -184,7 +184,7 @@ def written(tmp_path, text, name="case.scn"):
 
 
 def test_a_scaled_file_keeps_its_shape_in_protected_zones(tmp_path):
-    found = files.contents(written(tmp_path, HEAD_ON), 25.0)
+    found = files.contents(written(tmp_path, HEAD_ON), 25.0, 9)
     (episode,) = found.episodes
     assert (found.aircraft, found.left_out, found.speed_mps) == (2, 0, 5.0)
     assert episode.speed_mps == pytest.approx(3.75, rel=1e-3)
@@ -199,7 +199,7 @@ def test_a_scaled_file_keeps_its_shape_in_protected_zones(tmp_path):
 
 def test_heights_are_scaled_by_the_protected_zone_too(tmp_path):
     text = HEAD_ON.replace("270 10000 250", "270 11000 250")
-    (episode,) = files.contents(written(tmp_path, text), 25.0).episodes
+    (episode,) = files.contents(written(tmp_path, text), 25.0, 9).episodes
     assert episode.points[0, 0, 2] - episode.points[1, 0, 2] == pytest.approx(25.0)
 
 
@@ -217,7 +217,7 @@ way, too early for a conflict; C is far away."""
 
 
 def test_an_episode_is_what_happens_around_a_conflict(tmp_path):
-    found = files.contents(written(tmp_path, SMALL), None)
+    found = files.contents(written(tmp_path, SMALL), None, 9)
     (episode,) = found.episodes
     assert found.aircraft == 4
     assert episode.aircraft == 2
@@ -232,7 +232,7 @@ def test_an_episode_is_what_happens_around_a_conflict(tmp_path):
 def test_a_conflict_of_an_aircraft_that_flies_too_shortly_is_counted(tmp_path):
     text = SMALL.replace("00:01:00>CRE LATE,M600,0,0.0205", "00:04:00>CRE LATE,M600,0,0.0125")
     text += "00:00:00>CRE D,M600,0.6,0.6,0,300,10\n00:00:00>CRE E,M600,0.61,0.6,180,300,10\n"
-    found = files.contents(written(tmp_path, text), None)
+    found = files.contents(written(tmp_path, text), None, 9)
     assert found.left_out == 1
     assert len(found.episodes) == 1  # that of D and E
 
@@ -240,7 +240,7 @@ def test_a_conflict_of_an_aircraft_that_flies_too_shortly_is_counted(tmp_path):
 def test_without_any_conflict_nothing_is_flown(tmp_path):
     text = "00:00:00>CRE A,M600,0,0,0,0,10\n00:01:00>CRE B,M600,1,0,0,0,10\n00:09:00>DEL A\n"
     with pytest.raises(ConfigError, match="no two of its 2 aircraft are planned to come within 20 m"):
-        files.contents(written(tmp_path, text), None)
+        files.contents(written(tmp_path, text), None, 9)
 
 
 def test_pairs_are_those_of_all_distances():
@@ -271,6 +271,61 @@ def test_cells_of_files_fly_and_hang_on_their_reader(tmp_path):
     assert campaign.software_of([cell]) == campaign.software(others=True) != campaign.software()
 
 
+# ---------------------------------------------------------------- flight intentions
+
+INTENTIONS = """\
+00:00:00,D1,MP20,00:00:10,"(16.36, 48.18)","(16.36, 48.20)",2,,,,,,
+00:00:00,D2,MP30,00:01:00,"(16.345, 48.19)","(16.375, 48.19)",1,,,,,,
+00:00:00,D3,MP20,00:00:00,"(16.0, 48.5)","(16.0, 48.6)",3,,,,,,
+00:00:00,L1,MP20,00:00:00,"(16.1, 48.5)","(16.2, 48.5)",4,60,1,2,3,4,5
+00:00:00,D4,JET,00:00:00,"(16.1, 48.5)","(16.2, 48.5)",1,,,,,,
+00:00:00,D5,MP20,soon,"(16.1, 48.5)","(16.2, 48.5)",1,,,,,,
+00:00:00,D6,MP20,00:00:00,nowhere,"(16.2, 48.5)",1,,,,,,
+a,b
+
+"""
+
+
+def test_flight_intentions_are_straight_flights_between_their_places():
+    found = metropolis.parse(INTENTIONS)
+    assert [plan.name for plan in found.plans] == ["D1", "D2", "D3"]
+    assert found.skipped == {
+        "a loitering mission": 1, "type JET": 1, "time soon": 1, "place": 1, "too few columns": 1,
+    }  # fmt: skip
+    first, second = found.plans[:2]
+    assert first.corners[0][0] == 10.0
+    assert first.corners[1][0] == pytest.approx(10.0 + 0.02 * DEGREE_M / (20.0 * KNOT))
+    assert first.corners[1][1] - first.corners[0][1] == pytest.approx(0.02 * DEGREE_M)
+    # The map is true in the middle of all places; a tenth of a degree of latitude away by half a percent.
+    wide = 0.03 * DEGREE_M * math.cos(math.radians(48.19))
+    assert second.corners[1][2] - second.corners[0][2] == pytest.approx(wide, rel=0.01)
+    assert not second.goes_on
+
+
+def test_episodes_of_flight_intentions(tmp_path):
+    """D1 is at the crossing after 10 + 108.1 s, D2 some 13 s later: brought together by a later departure."""
+    text = INTENTIONS.replace("MP20,00:00:10", "MP20,00:00:22")
+    (episode,) = files.contents(written(tmp_path, text, "flights.csv"), None, 9).episodes
+    assert episode.aircraft == 2
+    assert sorted(
+        np.linalg.norm(episode.points[:, -1] - episode.points[:, 0], axis=1) / 120.0
+    ) == pytest.approx([20.0 * KNOT, 30.0 * KNOT], rel=0.01)
+
+
+def test_only_so_many_episodes_are_looked_for(tmp_path):
+    text = "".join(
+        f"00:00:00,{name}{i},MP20,00:{10 * i:02d}:00,"
+        f'"({16.0 + far}, 48.18)","({16.1 - far}, 48.18)",1,,,,,,\n'
+        for i in range(4)
+        for name, far in (("A", 0.0), ("B", 0.1))
+    )
+    path = written(tmp_path, text, "flights.csv")
+    first, every = files.contents(path, None, 2), files.contents(path, None, 9)
+    assert (len(first.episodes), first.whole) == (2, False)
+    assert (len(every.episodes), every.whole) == (4, True)
+    np.testing.assert_array_equal(first.episodes[1].points, every.episodes[1].points)
+
+
 # ---------------------------------------------------------------- the command
 
 
@@ -282,7 +337,7 @@ def test_a_file_from_the_command_line(tmp_path, capsys):
     assert out[2].startswith("| case | 2 | none | 2 | 2 | 2 |")
     assert out[3].startswith("| case | 2 | dmuca | 2 | 0 | ")
     assert out[4] == (
-        f"{path}: 2 aircraft, 1 of 1 episodes flown; conflicts of the plan in none of them: 0; "
+        f"{path}: 2 aircraft, 1 episode; conflicts of the plan that are in none: 0; "
         "not understood: ASAS (1), TRAIL (1), RESO (1)"
     )
     assert cli.main(["campaign", "scenarios", *options, "--json"]) == 0
@@ -303,7 +358,7 @@ def test_a_file_from_the_command_line(tmp_path, capsys):
         (["--scn", "CASE", "--episodes", "0"], "--episodes: 0 is out of range"),
         (["--scn", "CASE", "--aircraft", "5"], "--scn cannot be combined"),
         (["merge", "--unscaled"], "--zone and --unscaled need --scn"),
-        (["--scn", "EMPTY"], "it creates 0 aircraft; allowed: 2 to 20,000; not understood: SYN (1)"),
+        (["--scn", "EMPTY"], "it has 0 aircraft; allowed: 2 to 20,000; not understood: SYN (1)"),
     ],
 )
 def test_wrong_options(options, said, tmp_path, capsys):
