@@ -69,6 +69,9 @@ SCENARIOS = ("ground_tools.campaign.scenarios.layouts", "ground_tools.campaign.s
 """Modules that draw scenarios and the paths of intruders on missions."""
 FILES = "ground_tools.campaign.scenarios.files"
 """Module that makes flights of files of others."""
+MISSION_MPS2 = 5.0
+"""Limit of the change of command of an intruder on a mission. It turns as sharply as vehicles here can, and so
+passes where its path does."""
 _RESERVE = 0.6
 """Ratio of planned to greatest speed in encounters in which each aircraft has its own limits."""
 SEPARATION_M = 2.0 * AvoidanceConfig().conflict_radius_m
@@ -308,16 +311,16 @@ def _row(seed: int, result: Floats, pairs: Floats, flagged: list[list[int]]) -> 
 
 
 def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
-    speed = cell.speed_mps
+    speed, change = cell.speed_mps, LimitsConfig().max_acceleration_mps2
     if kind in (vehicles.CREWED, vehicles.BAROMETRIC):
         speed = CREWED_MPS
     elif cell.on_missions and kind != vehicles.AVOIDS:
-        speed = path.max_speed() / _RESERVE
+        speed, change = path.max_speed() / _RESERVE, MISSION_MPS2
     elif not cell.reserve:
         speed = path.max_speed()
     elif cell.generator == "mixed":
         speed = path.max_speed() / _RESERVE
-    return LimitsConfig(max_speed_mps=speed)
+    return LimitsConfig(max_speed_mps=speed, max_acceleration_mps2=change)
 
 
 def kept(folder: Path, cell: Cell) -> Kept[Row]:

@@ -314,7 +314,7 @@ def test_episodes_of_flight_intentions(tmp_path):
 
 def test_only_so_many_episodes_are_looked_for(tmp_path):
     text = "".join(
-        f"00:00:00,{name}{i},MP20,00:{10 * i:02d}:00,"
+        f"00:00:00,{name}{i},MP20,00:{15 * i:02d}:00,"
         f'"({16.0 + far}, 48.18)","({16.1 - far}, 48.18)",1,,,,,,\n'
         for i in range(4)
         for name, far in (("A", 0.0), ("B", 0.1))

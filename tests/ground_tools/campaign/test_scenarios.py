@@ -79,6 +79,16 @@ def test_an_intruder_on_a_mission_avoids_nobody_and_stays_in_the_baseline():
     assert look.row.deviation_m > free.row.deviation_m
 
 
+@pytest.mark.parametrize("name", missions.MISSIONS)
+def test_an_intruder_on_a_mission_keeps_to_the_corners_of_its_path(name):
+    for seed in (1, 2):
+        look = campaign.look(campaign.baseline(replace(MISSION, intruder=name)), seed)
+        t = look.world.step_s * np.arange(1, len(look.trace) + 1)
+        path = np.column_stack([np.interp(t, look.times[0], look.points[0, :, c]) for c in range(3)])
+        # GNSS errors, and what it overshoots its stops and corners by.
+        assert np.linalg.norm(look.trace[:, 0] - path, axis=1).max() < 11.0
+
+
 def test_missions_from_the_command_line(capsys):
     options = ["--aircraft", "2", "--intruder", "orbit", "--intruders", "0.5", "--seeds", "1-5"]
     assert cli.main(["campaign", "run", "--generator", "cruise", *options, "--processes", "1", "--json"]) == 0
