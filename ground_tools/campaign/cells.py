@@ -70,8 +70,8 @@ SCENARIOS = ("ground_tools.campaign.scenarios.layouts", "ground_tools.campaign.s
 FILES = "ground_tools.campaign.scenarios.files"
 """Module that makes flights of files of others."""
 MISSION_MPS2 = 5.0
-"""Limit of the change of command of an intruder on a mission. It turns as sharply as vehicles here can, and so
-passes where its path does."""
+"""Limit of the change of command of an intruder on a mission. It turns as sharply as vehicles here can, and
+so passes where its path does."""
 _RESERVE = 0.6
 """Ratio of planned to greatest speed in encounters in which each aircraft has its own limits."""
 SEPARATION_M = 2.0 * AvoidanceConfig().conflict_radius_m
@@ -230,7 +230,7 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     world = msgspec.structs.replace(
         WORLDS[cell.world],
         start_s=float(times.min()),
-        end_s=float(times.max()),
+        end_s=_end_s(cell, times),
         delay_s=cell.delay_s,
         loss=cell.loss,
         message_s=1.0 / cell.rate,
@@ -278,6 +278,12 @@ def _drawn(cell: Cell, seed: int) -> tuple[Floats, Floats]:
         return drawing(cell.generator, cell.aircraft, cell.speed_mps, seed)
     except ValueError as error:
         raise ConfigError(f"seed {seed}: {error}") from error
+
+
+def _end_s(cell: Cell, times: Floats) -> float:
+    """When the flight of a cell ends on its paths."""
+    beyond_s = files.BEYOND_S if cell.generator.startswith(files.PREFIX) else 0.0
+    return float(times.max()) - beyond_s
 
 
 def flown_by(cell: Cell) -> Flown:
@@ -402,7 +408,7 @@ def baseline(cell: Cell) -> Cell:
 def duration_s(cell: Cell) -> float:
     """Duration of one flight of a cell."""
     times, _ = _drawn(cell, 1)
-    return float(times.max() - times.min())
+    return _end_s(cell, times) - float(times.min())
 
 
 def lost(rows: Sequence[Row]) -> int:

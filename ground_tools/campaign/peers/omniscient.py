@@ -6,7 +6,7 @@ the timed paths have the least sum. Of aircraft that do not avoid, their true la
 plan is found by the alternating direction method of multipliers, with one set of copies for every limit and
 for every pair (J. Bento, N. Derbinsky, J. Alonso-Mora, J. Yedidia, "A message-passing algorithm for
 multi-agent trajectory planning", 2013). The set of allowed relative positions is not convex: what is found is
-a local optimum, the best of a few beginnings. So it shows what is possible, not what is impossible.
+a local optimum near its beginning. So it shows what is possible, not what is impossible.
 
 Then the aircraft fly the plan, with the vehicle's lag and through the same limits on commands as any law.
 """
@@ -101,18 +101,20 @@ def plan(rng: np.random.Generator, wanted: AnyFloats, others: AnyFloats, limits:
         others: shape (B, T, 3): where those are that do not avoid.
 
     Returns:
-        Where they are at each time step, (A, T, 3): of a few beginnings, the plan that keeps apart and
-        deviates least, or if none keeps apart, the one that comes nearest to it.
+        Where they are at each time step, (A, T, 3). If the plan does not keep everybody apart, others are
+        made from other beginnings; if none does, it is the one that comes nearest to it.
     """
     if _least_distance(wanted, others) >= APART_M:
         return wanted
-    found: list[tuple[float, float, int, AnyFloats]] = []
+    found: list[tuple[float, int, AnyFloats]] = []
     for attempt in range(_BEGINNINGS):
         first = _parted(None if attempt == 0 else rng, wanted, others)
         one = _optimised(first, wanted, others, limits)
-        gap = max(APART_M - _TOLERANCE_M - _least_distance(one, others), 0.0)
-        found.append((gap, float(np.linalg.norm(one - wanted, axis=2).max(initial=0.0)), attempt, one))
-    return min(found)[3]
+        short = APART_M - _TOLERANCE_M - _least_distance(one, others)
+        found.append((short, attempt, one))
+        if short <= 0.0:
+            break
+    return min(found)[2]
 
 
 def _parted(rng: np.random.Generator | None, wanted: AnyFloats, others: AnyFloats) -> AnyFloats:

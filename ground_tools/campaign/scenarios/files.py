@@ -37,6 +37,9 @@ AROUND_S: Final = 60.0
 REACH_M: Final = 300.0
 """Aircraft that come nearer than this to the place of a conflict belong to its episode."""
 MOST_AIRCRAFT: Final = 50
+BEYOND_S: Final = 30.0
+"""Paths go on for so long after a flight, because aircraft that are cut out of a longer flight do not slow
+down at its end. Enough to stop from 30 m/s with 1 m/s^2."""
 LARGEST_FLEET: Final = 20_000
 """Most aircraft of a file."""
 _LARGEST_FILE: Final = 64_000_000
@@ -63,6 +66,13 @@ class Episode:
     def aircraft(self) -> int:
         """Number of aircraft."""
         return len(self.times)
+
+    def going_on(self) -> Episode:
+        """The same with paths that go on straight for `BEYOND_S`."""
+        speed = (self.points[:, -1] - self.points[:, -2]) / np.diff(self.times[:, -2:])
+        times = np.column_stack([self.times, self.times[:, -1] + BEYOND_S])
+        points = np.concatenate([self.points, (self.points[:, -1] + BEYOND_S * speed)[:, None]], axis=1)
+        return Episode(times, points)
 
     @property
     def speed_mps(self) -> float:
@@ -110,7 +120,7 @@ def draw(name: str, seed: int) -> tuple[Floats, Floats]:
         name: from `name_of`.
 
     Returns:
-        Times (A, K) and waypoints (A, K, 3), as `generators.draw` does.
+        Times (A, K) and waypoints (A, K, 3), as `generators.draw` does. The flight ends `BEYOND_S` earlier.
 
     Raises:
         ConfigError: the file cannot be read, or there is no such episode.
@@ -122,7 +132,7 @@ def draw(name: str, seed: int) -> tuple[Floats, Floats]:
     episodes = contents(Path(path), None if zone == "-" else float(zone), most).episodes
     if number >= len(episodes):
         raise ConfigError(f"--scn: {path}: no episode {number}; there are {len(episodes)}")
-    episode = episodes[number]
+    episode = episodes[number].going_on()
     rng = np.random.default_rng([_ORDER, number, seed])
     return episode.times, episode.points + rng.uniform(-_JITTER_M, _JITTER_M, (episode.aircraft, 1, 3))
 

@@ -34,7 +34,7 @@ class Measures(msgspec.Struct, frozen=True):
     """Time to clear: from the first to the last moment at which an avoiding aircraft was off its plan. 0 if
     none ever was; None if one still is at the end."""
     end_m: float
-    """Largest distance of an avoiding aircraft from the end of its path, at the end of the flight."""
+    """Largest distance of an avoiding aircraft from its place on its path at the end of the flight."""
     needless_m: float | None
     """Largest deviation of an avoiding aircraft that comes within the separation of nobody if nobody avoids;
     None if there is no such aircraft."""
@@ -53,7 +53,9 @@ def measured(cell: Cell, seed: int) -> Measures:
     gaps, lateral = _beside(look)
     apart = _least_distances(free.trace) >= campaign.SEPARATION_M
     needless = gaps[:, avoids & apart]
-    ends = np.linalg.norm(look.trace[-1] - look.points[:, -1], axis=1)[avoids]
+    at_end = np.array([look.world.end_s])
+    places = np.concatenate([_on_path(t, p, at_end) for t, p in zip(look.times, look.points, strict=True)])
+    ends = np.linalg.norm(look.trace[-1] - places, axis=1)[avoids]
     return Measures(
         row=look.row,
         snmac=_snmac(look),

@@ -15,7 +15,7 @@ from ground_tools import cli
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign.cells import Cell
 from ground_tools.campaign.generators import HEIGHT_M
-from ground_tools.campaign.scenarios import bluesky, files, metropolis
+from ground_tools.campaign.scenarios import bluesky, files, measures, metropolis
 
 KNOT = 1852.0 / 3600.0
 DEGREE_M = math.radians(1.0) * 6_371_000.0
@@ -30,6 +30,19 @@ HEAD_ON = """\
 """
 TEN_KNOTS = "10", 10.0 * KNOT
 """A speed at sea level, where true and calibrated airspeed are the same."""
+
+
+INTENTIONS = """\
+00:00:00,D1,MP20,00:00:10,"(16.36, 48.18)","(16.36, 48.20)",2,,,,,,
+00:00:00,D2,MP30,00:01:00,"(16.345, 48.19)","(16.375, 48.19)",1,,,,,,
+00:00:00,D3,MP20,00:00:00,"(16.0, 48.5)","(16.0, 48.6)",3,,,,,,
+00:00:00,L1,MP20,00:00:00,"(16.1, 48.5)","(16.2, 48.5)",4,60,1,2,3,4,5
+00:00:00,D4,JET,00:00:00,"(16.1, 48.5)","(16.2, 48.5)",1,,,,,,
+00:00:00,D5,MP20,soon,"(16.1, 48.5)","(16.2, 48.5)",1,,,,,,
+00:00:00,D6,MP20,00:00:00,nowhere,"(16.2, 48.5)",1,,,,,,
+a,b
+
+"""
 
 
 def one(text):
@@ -262,6 +275,16 @@ def test_seeds_move_the_paths_a_little_and_repeat(tmp_path):
         files.draw(name.replace(":0:", ":7:"), 1)
 
 
+def test_aircraft_that_are_cut_out_of_a_longer_flight_do_not_slow_down_at_its_end(tmp_path):
+    path = written(tmp_path, INTENTIONS.replace("MP20,00:00:10", "MP20,00:00:22"), "flights.csv")
+    found = files.contents(path, None, 9)
+    name = files.name_of(path, 0, None)
+    cell = Cell(generator=name, aircraft=2, law="none", speed_mps=found.speed_mps)
+    look = campaign.look(cell, 1)
+    assert look.world.end_s == found.episodes[0].times[0, -1] == campaign.duration_s(cell)
+    assert measures.measured(cell, 1).end_m < 8.0  # GNSS errors; to stop at the end takes 22 m more
+
+
 def test_cells_of_files_fly_and_hang_on_their_reader(tmp_path):
     name = files.name_of(written(tmp_path, HEAD_ON), 0, 25.0)
     cell = Cell(generator=name, aircraft=2, delay_s=(1.0, 2.0))
@@ -272,18 +295,6 @@ def test_cells_of_files_fly_and_hang_on_their_reader(tmp_path):
 
 
 # ---------------------------------------------------------------- flight intentions
-
-INTENTIONS = """\
-00:00:00,D1,MP20,00:00:10,"(16.36, 48.18)","(16.36, 48.20)",2,,,,,,
-00:00:00,D2,MP30,00:01:00,"(16.345, 48.19)","(16.375, 48.19)",1,,,,,,
-00:00:00,D3,MP20,00:00:00,"(16.0, 48.5)","(16.0, 48.6)",3,,,,,,
-00:00:00,L1,MP20,00:00:00,"(16.1, 48.5)","(16.2, 48.5)",4,60,1,2,3,4,5
-00:00:00,D4,JET,00:00:00,"(16.1, 48.5)","(16.2, 48.5)",1,,,,,,
-00:00:00,D5,MP20,soon,"(16.1, 48.5)","(16.2, 48.5)",1,,,,,,
-00:00:00,D6,MP20,00:00:00,nowhere,"(16.2, 48.5)",1,,,,,,
-a,b
-
-"""
 
 
 def test_flight_intentions_are_straight_flights_between_their_places():

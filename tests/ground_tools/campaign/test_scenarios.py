@@ -85,8 +85,8 @@ def test_an_intruder_on_a_mission_keeps_to_the_corners_of_its_path(name):
         look = campaign.look(campaign.baseline(replace(MISSION, intruder=name)), seed)
         t = look.world.step_s * np.arange(1, len(look.trace) + 1)
         path = np.column_stack([np.interp(t, look.times[0], look.points[0, :, c]) for c in range(3)])
-        # GNSS errors, and what it overshoots its stops and corners by.
-        assert np.linalg.norm(look.trace[:, 0] - path, axis=1).max() < 11.0
+        # GNSS errors, and what it overshoots corners by; limited to 1 m/s2 it strayed by up to 46 m.
+        assert np.linalg.norm(look.trace[:, 0] - path, axis=1).max() < 15.0
 
 
 def test_missions_from_the_command_line(capsys):
