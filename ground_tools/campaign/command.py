@@ -81,9 +81,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     peers.add_arguments(command)
     command = commands.add_parser(
         "scenarios",
-        help="fly everyday traffic: lanes, formations, landings, merging",
-        description="Fly everyday traffic, and measure who arrives and who deviates for nothing.",
-        epilog="example: ground-tools campaign scenarios lanes-15 parking --laws dmuca orca-constant",
+        help="fly everyday traffic: lanes, formations, landings, merging, or files of others",
+        description="Fly everyday traffic, or files of others, and measure who arrives and who deviates for "
+        "nothing.",
+        epilog="examples:\n"
+        "  ground-tools campaign scenarios lanes-15 parking --laws dmuca orca-constant\n"
+        "  ground-tools campaign scenarios --scn super8.scn wall.scn --laws none dmuca omniscient",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     scenarios.add_arguments(command)

@@ -81,7 +81,7 @@ def fly(
     wanted = np.stack([_along(times, t, p) for t, p in zip(path_times, path_points, strict=True)])
     ends = world.start_s + world.step_s * np.arange(1, len(futures) + 1)
     others = np.array([_along(times, ends, futures[:, j]) for j in np.flatnonzero(~avoids)])
-    plans = np.zeros_like(wanted)
+    plans = np.zeros(wanted.shape)
     plans[avoids] = plan(rng, wanted[avoids], others.reshape(-1, len(times), 3), _limits(settings[avoids]))
     craft, tally = on_the_ground(len(kinds), world), nothing_yet(len(kinds), pairs, result)
     late = np.zeros(len(kinds))
@@ -193,18 +193,18 @@ def _optimised(first: AnyFloats, wanted: AnyFloats, others: AnyFloats, limits: L
 
 
 def _directions(away: AnyFloats) -> AnyFloats:
-    return away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9)
+    return np.asarray(away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9))
 
 
 def _beyond(away: AnyFloats, side: AnyFloats) -> AnyFloats:
     """The nearest relative positions that are at least `APART_M` away in a direction."""
     short = APART_M - (away * side).sum(axis=-1, keepdims=True)
-    return away + np.maximum(short, 0.0) * side
+    return np.asarray(away + np.maximum(short, 0.0) * side)
 
 
 def _in_ball(way: AnyFloats, most: AnyFloats) -> AnyFloats:
     size = np.linalg.norm(way, axis=-1, keepdims=True)
-    return way * np.minimum(1.0, most / np.maximum(size, 1e-9))
+    return np.asarray(way * np.minimum(1.0, most / np.maximum(size, 1e-9)))
 
 
 def _in_limits(velocity: AnyFloats, limits: Limits) -> AnyFloats:
@@ -373,4 +373,4 @@ def _wish(
     at = plan[first, c] + share * before
     here = craft.position[i, c] + 0.5 * period_s * craft.velocity[i, c]
     mean = before + (after - before) * min(share, 1.0)
-    return (mean + world.lag_s * (after - before) / STEP_S) / STEP_S + _FOLLOW * (at - here)
+    return float((mean + world.lag_s * (after - before) / STEP_S) / STEP_S + _FOLLOW * (at - here))

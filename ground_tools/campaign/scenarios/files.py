@@ -176,7 +176,7 @@ def _read(path: Path) -> bluesky.Scenario:
     if len(raw) > _LARGEST_FILE:
         raise ConfigError(f"--scn: {path}: too large; allowed: up to {_LARGEST_FILE:,} bytes")
     text = raw.decode("utf-8", "replace")
-    found = (metropolis if path.suffix.lower() == ".csv" else bluesky).parse(text)
+    found = metropolis.parse(text) if path.suffix.lower() == ".csv" else bluesky.parse(text)
     if not 2 <= len(found.plans) <= LARGEST_FLEET:
         said = ", ".join(f"{name} ({count})" for name, count in found.skipped.most_common(5)) or "nothing"
         raise ConfigError(
