@@ -227,10 +227,11 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
         ]
     )
     fence = fence_beside(points) if cell.world == "fence" else kernels.NO_WALLS
+    start_s, end_s = _from_to_s(cell, times)
     world = msgspec.structs.replace(
         WORLDS[cell.world],
-        start_s=float(times.min()),
-        end_s=_end_s(cell, times),
+        start_s=start_s,
+        end_s=end_s,
         delay_s=cell.delay_s,
         loss=cell.loss,
         message_s=1.0 / cell.rate,
@@ -280,10 +281,10 @@ def _drawn(cell: Cell, seed: int) -> tuple[Floats, Floats]:
         raise ConfigError(f"seed {seed}: {error}") from error
 
 
-def _end_s(cell: Cell, times: Floats) -> float:
-    """When the flight of a cell ends on its paths."""
+def _from_to_s(cell: Cell, times: Floats) -> tuple[float, float]:
+    """When the flight of a cell begins and ends on its paths."""
     beyond_s = files.BEYOND_S if cell.generator.startswith(files.PREFIX) else 0.0
-    return float(times.max()) - beyond_s
+    return float(times.min()) + beyond_s, float(times.max()) - beyond_s
 
 
 def flown_by(cell: Cell) -> Flown:
@@ -408,7 +409,8 @@ def baseline(cell: Cell) -> Cell:
 def duration_s(cell: Cell) -> float:
     """Duration of one flight of a cell."""
     times, _ = _drawn(cell, 1)
-    return _end_s(cell, times) - float(times.min())
+    start_s, end_s = _from_to_s(cell, times)
+    return end_s - start_s
 
 
 def lost(rows: Sequence[Row]) -> int:

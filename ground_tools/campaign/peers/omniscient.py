@@ -129,14 +129,15 @@ def _parted(rng: np.random.Generator | None, wanted: AnyFloats, others: AnyFloat
     a, b = a[a < number], b[a < number]
     away = everyone[a] - everyone[b]
     for _ in range(_MOST_MOVES):
-        square = (away**2).sum(axis=2)
+        nearest = _nearest(away)
+        square = (nearest**2).sum(axis=2)
         pair, step = np.unravel_index(int(square.argmin()), square.shape)
         if square[pair, step] >= APART_M**2:
             break
         both = b[pair] < number
-        side = _side(rng, away[pair], int(step))
-        short = APART_M + 1.0 - float(away[pair, step] @ side)
-        bump = np.exp(-0.5 * ((np.arange(steps) - step) * STEP_S / _AWHILE_S) ** 2)
+        side = _side(rng, nearest[pair, step], away[pair, step + 1] - away[pair, step])
+        short = APART_M + 1.0 - float(nearest[pair, step] @ side)
+        bump = np.exp(-0.5 * ((np.arange(steps) - step - 0.5) * STEP_S / _AWHILE_S) ** 2)
         bump *= np.minimum(np.arange(steps) * STEP_S / _AWHILE_S, 1.0)  # all begin on their paths
         move = short * bump[:, None] * side
         for i, share in ((a[pair], 0.5 if both else 1.0), (b[pair], -0.5 if both else 0.0)):
@@ -147,16 +148,28 @@ def _parted(rng: np.random.Generator | None, wanted: AnyFloats, others: AnyFloat
     return x
 
 
-def _side(rng: np.random.Generator | None, away: AnyFloats, step: int) -> AnyFloats:
-    """The direction in which one of a pair is moved: across the relative motion."""
-    first = min(max(step, 1), len(away) - 2)
-    way = away[first + 1] - away[first - 1]
+def _side(rng: np.random.Generator | None, beside: AnyFloats, way: AnyFloats) -> AnyFloats:
+    """The direction in which one of a pair is moved: across the relative motion.
+
+    Args:
+        beside: the relative position where they are nearest.
+        way: the relative motion there.
+    """
     way = way / max(float(np.linalg.norm(way)), 1e-9)
-    beside = away[step] if rng is None else rng.normal(0.0, [1.0, 1.0, 0.7])
+    if rng is not None:
+        beside = rng.normal(0.0, [1.0, 1.0, 0.7])
     across = beside - (beside @ way) * way
     if np.linalg.norm(across) < _NOWHERE_M:
         across = np.array([-way[1], way[0] + 1e-9, 0.0])  # to the right, also of a vertical motion
     return np.asarray(across / np.linalg.norm(across))
+
+
+def _nearest(away: AnyFloats) -> AnyFloats:
+    """The relative positions that are nearest on the straight lines between the time steps, along the last
+    axis but one."""
+    p, d = away[..., :-1, :], np.diff(away, axis=-2)
+    square = np.maximum((d**2).sum(axis=-1, keepdims=True), 1e-12)
+    return np.asarray(p + np.clip(-(p * d).sum(axis=-1, keepdims=True) / square, 0.0, 1.0) * d)
 
 
 def _optimised(first: AnyFloats, wanted: AnyFloats, others: AnyFloats, limits: Limits) -> AnyFloats:
@@ -193,7 +206,16 @@ def _optimised(first: AnyFloats, wanted: AnyFloats, others: AnyFloats, limits: L
 
 
 def _directions(away: AnyFloats) -> AnyFloats:
-    return np.asarray(away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9))
+    """For every time step the direction in which they are nearest between the steps before and after it. Both
+    ends of the part on which they pass each other have that direction, and so all of it keeps apart."""
+    nearest = _nearest(away)
+    size = np.linalg.norm(nearest, axis=-1, keepdims=True)
+    side = nearest / np.maximum(size, 1e-9)
+    before = np.concatenate([side[..., :1, :], side], axis=-2)
+    after = np.concatenate([side, side[..., -1:, :]], axis=-2)
+    far_before = np.concatenate([size[..., :1, :], size], axis=-2)
+    far_after = np.concatenate([size, size[..., -1:, :]], axis=-2)
+    return np.where(far_before < far_after, before, after)
 
 
 def _beyond(away: AnyFloats, side: AnyFloats) -> AnyFloats:
@@ -290,11 +312,7 @@ def _least_distance(plans: AnyFloats, others: AnyFloats) -> float:
     least = math.inf
     for i in range(len(plans)):
         for j in range(i + 1, len(everyone)):
-            away = everyone[j] - everyone[i]
-            p, d = away[:-1], np.diff(away, axis=0)
-            square = np.maximum((d**2).sum(axis=1), 1e-12)
-            share = np.clip(-(p * d).sum(axis=1) / square, 0.0, 1.0)
-            least = min(least, float(np.linalg.norm(p + share[:, None] * d, axis=1).min()))
+            least = min(least, float(np.linalg.norm(_nearest(everyone[j] - everyone[i]), axis=1).min()))
     return least
 
 

@@ -38,8 +38,8 @@ REACH_M: Final = 300.0
 """Aircraft that come nearer than this to the place of a conflict belong to its episode."""
 MOST_AIRCRAFT: Final = 50
 BEYOND_S: Final = 30.0
-"""Paths go on for so long after a flight, because aircraft that are cut out of a longer flight do not slow
-down at its end. Enough to stop from 30 m/s with 1 m/s^2."""
+"""Paths begin so long before a flight and go on so long after it, because aircraft that are cut out of a
+longer flight neither start nor stop. Enough to stop from 30 m/s with 1 m/s^2."""
 LARGEST_FLEET: Final = 20_000
 """Most aircraft of a file."""
 _LARGEST_FILE: Final = 64_000_000
@@ -68,11 +68,14 @@ class Episode:
         return len(self.times)
 
     def going_on(self) -> Episode:
-        """The same with paths that go on straight for `BEYOND_S`."""
-        speed = (self.points[:, -1] - self.points[:, -2]) / np.diff(self.times[:, -2:])
-        times = np.column_stack([self.times, self.times[:, -1] + BEYOND_S])
-        points = np.concatenate([self.points, (self.points[:, -1] + BEYOND_S * speed)[:, None]], axis=1)
-        return Episode(times, points)
+        """The same with paths that come and go on straight for `BEYOND_S`."""
+        first = (self.points[:, 1] - self.points[:, 0]) / np.diff(self.times[:, :2])
+        last = (self.points[:, -1] - self.points[:, -2]) / np.diff(self.times[:, -2:])
+        before, after = self.points[:, 0] - BEYOND_S * first, self.points[:, -1] + BEYOND_S * last
+        return Episode(
+            np.column_stack([self.times[:, 0] - BEYOND_S, self.times, self.times[:, -1] + BEYOND_S]),
+            np.concatenate([before[:, None], self.points, after[:, None]], axis=1),
+        )
 
     @property
     def speed_mps(self) -> float:
@@ -120,7 +123,8 @@ def draw(name: str, seed: int) -> tuple[Floats, Floats]:
         name: from `name_of`.
 
     Returns:
-        Times (A, K) and waypoints (A, K, 3), as `generators.draw` does. The flight ends `BEYOND_S` earlier.
+        Times (A, K) and waypoints (A, K, 3), as `generators.draw` does. The flight begins `BEYOND_S` after
+        them and ends as much before them.
 
     Raises:
         ConfigError: the file cannot be read, or there is no such episode.

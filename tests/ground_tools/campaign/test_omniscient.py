@@ -68,6 +68,13 @@ def test_two_aircraft_share_the_least_way_round(other):
     np.testing.assert_allclose(found[:, :2], wanted[:, :2])  # it begins on its path
 
 
+def test_fast_aircraft_do_not_pass_between_two_steps():
+    """At 32 m/s relative speed, 16 m from step to step."""
+    wanted = np.array([straight((0, 0, 0), (16, 0, 0)), straight((8, 1, 0), (-16, 0, 0))])
+    found = omniscient.plan(np.random.default_rng(1), wanted, NOBODY, limits(2, speed=20.0))
+    assert dense_distance(*found) > 10.3
+
+
 def test_who_does_not_avoid_is_left_the_whole_way():
     other = straight((0, 1, 0), (-3, 0, 0))
     wanted = np.array([straight((0, 0, 0), (3, 0, 0))])
