@@ -24,6 +24,9 @@ from ground_tools.campaign.encounters.sampling import FOOT_M, KNOT_MPS
 
 CLIMB_MPS: Final = 1500.0 * FOOT_M / 60.0
 """Vertical rate of a change of altitude for which the file gives none."""
+_HIGHEST_M, _LOWEST_M = 50_000.0, -1_000.0
+_FASTEST: Final = 10_000.0
+"""Greatest calibrated airspeed (kt), Mach number and vertical rate (100 ft/min) that are understood."""
 _RADIUS_M: Final = 6_371_000.0
 _TIME: Final = re.compile(r"\s*(\d{1,4}):(\d{1,2}):(\d{1,2}(?:\.\d*)?)\s*>(.*)")
 _FEWEST: Final = {
@@ -233,17 +236,17 @@ class _Fleet:
         up = _altitude(words[0])
         if up is None:
             return f"altitude {words[0][:20]}"
-        if len(words) > 1 and (rate := _number(words[1])):
-            craft.rate = abs(rate) * FOOT_M / 60.0
+        if len(words) > 1 and (rate := _rate(words[1])):
+            craft.rate = abs(rate)
         craft.level = up
         craft.climb = math.copysign(craft.rate, up - craft.at[3]) if up != craft.at[3] else 0.0
         return None
 
     def _climb(self, craft: _Craft, words: list[str]) -> str | None:
-        rate = _number(words[0])
+        rate = _rate(words[0])
         if rate is None:
             return f"vertical rate {words[0][:20]}"
-        craft.climb = rate * FOOT_M / 60.0
+        craft.climb = rate
         craft.rate = abs(craft.climb) or craft.rate
         if craft.level is not None and (craft.level - craft.at[3]) * craft.climb <= 0.0:
             craft.level = None
@@ -384,11 +387,18 @@ def place_of(words: Sequence[str]) -> Place | None:
     return lat, lon
 
 
+def _rate(word: str) -> float | None:
+    """A vertical rate in ft/min, in m/s."""
+    value = _number(word)
+    return None if value is None or abs(value) > 100.0 * _FASTEST else value * FOOT_M / 60.0
+
+
 def _altitude(word: str) -> float | None:
     """An altitude in feet or as a flight level, in m."""
     flight_level = word[:2].upper() == "FL"
     value = _number(word[2:] if flight_level else word)
-    return None if value is None else value * FOOT_M * (100.0 if flight_level else 1.0)
+    up_m = math.nan if value is None else value * FOOT_M * (100.0 if flight_level else 1.0)
+    return up_m if _LOWEST_M <= up_m <= _HIGHEST_M else None
 
 
 def true_airspeed(word: str, up_m: float) -> float | None:
@@ -399,8 +409,9 @@ def true_airspeed(word: str, up_m: float) -> float | None:
     """
     text = word.upper()
     value = _number(text.replace("M0.", ".").replace("M", ".").replace("..", "."))
-    if value is None or value < 0.0:
+    if value is None or not 0.0 <= value <= _FASTEST:
         return None
+    up_m = min(max(up_m, _LOWEST_M), _HIGHEST_M)  # a climb without an end leads out of the atmosphere
     temperature = max(288.15 - 0.0065 * up_m, 216.65)
     density = 1.225 * (temperature / 288.15) ** 4.256848 * math.exp(-max(up_m - 11_000.0, 0.0) / 6341.552)
     if "M" in text or 0.1 < value < 1.0:

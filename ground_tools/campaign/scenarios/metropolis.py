@@ -38,8 +38,13 @@ def parse(text: str) -> Scenario:
     """The flights in the text of a file. Never raises: what is not understood is counted."""
     skipped: Counter[str] = Counter()
     flights = []
-    for row in csv.reader(text.splitlines(), strict=False):
-        if not any(row):
+    for line in text.splitlines():
+        if not line.strip(" ,"):
+            continue
+        try:
+            (row,) = csv.reader([line])
+        except (csv.Error, ValueError):
+            skipped["a line that is no CSV"] += 1
             continue
         found = _flight([word.strip() for word in row])
         if isinstance(found, str):

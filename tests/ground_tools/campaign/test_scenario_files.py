@@ -171,7 +171,23 @@ def test_what_is_not_understood_is_named_and_changes_nothing(line, name):
 
 
 WORDS = st.sampled_from(
-    [*bluesky._FEWEST, "A", "B", "0", "1", "-1", "0.01", "FL100", "M.8", "nan", "1e999", "@", ","]
+    [
+        *bluesky._FEWEST,
+        "A",
+        "B",
+        "0",
+        "1",
+        "-1",
+        "0.01",
+        "FL100",
+        "M.8",
+        "nan",
+        "1e999",
+        "1e200",
+        "FL1e308",
+        "@",
+        ",",
+    ]
 )
 
 
@@ -313,6 +329,15 @@ def test_flight_intentions_are_straight_flights_between_their_places():
     wide = 0.03 * DEGREE_M * math.cos(math.radians(48.19))
     assert second.corners[1][2] - second.corners[0][2] == pytest.approx(wide, rel=0.01)
     assert not second.goes_on
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(alphabet='0123456789:.,()"MPD \n\0', max_size=200))
+def test_no_text_breaks_the_reader_of_flight_intentions(text):
+    row = '00:00:00,D1,MP20,00:00:10,"(16.36, 48.18)","(16.36, 48.20)",2,,,,,,'
+    for mixed in (text, f"{row}\n{text}", row.replace("48.20", text)):
+        for plan in metropolis.parse(mixed).plans:
+            assert np.isfinite(np.array(plan.corners)).all()
 
 
 def test_episodes_of_flight_intentions(tmp_path):
