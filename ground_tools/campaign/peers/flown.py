@@ -1,4 +1,4 @@
-"""What the name of a law means for a flight: a law of the companion, or one of `laws`."""
+"""What the name of a law means for a flight: a law of the companion, one of `laws`, or `omniscient`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from companion.avoidance import kernels
 from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
-from ground_tools.campaign.peers import laws
+from ground_tools.campaign.peers import laws, omniscient
 from ground_tools.campaign.peers.orca import Orca
 
 OWN = "dmuca"
@@ -25,6 +25,8 @@ class Flown:
     """The law that flies instead of the companion's."""
     changed: dict[str, float] = field(default_factory=dict)
     """Numbers of the companion's law that are changed, by field of `kernels.Settings`."""
+    planned: bool = False
+    """Whether everything is planned before the flight (`omniscient`)."""
 
     def settings(self, own: kernels.Settings, avoids: bool) -> list[float]:
         """The row of one aircraft in the table of settings of `flight.fly`.
@@ -34,6 +36,8 @@ class Flown:
             avoids: False: the aircraft flies its path only.
         """
         own = own._replace(**self.changed)
+        if self.planned:
+            return list(own._replace(law=kernels.NONE))
         if self.peer is None:
             return list(own if avoids else own._replace(law=kernels.NONE))
         _, parameters = self.peer
@@ -53,9 +57,11 @@ def flown_by(law: str, companions: Mapping[str, AvoidanceConfig]) -> Flown:
     """
     if law in companions:
         return Flown(companions[law])
+    if law == omniscient.NAME:
+        return Flown(companions[OWN], planned=True)
     name = law.partition(":")[0]
     if name not in laws.PEERS and name != OWN:
-        allowed = ", ".join([*companions, *laws.PEERS])
+        allowed = ", ".join([*companions, *laws.PEERS, omniscient.NAME])
         raise ConfigError(f"--law: {name} is unknown; allowed: {allowed}")
     try:
         if name == OWN:
