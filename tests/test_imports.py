@@ -25,6 +25,7 @@ FORBIDDEN = {
 ROOMS = [
     "errors",
     "arrays",
+    "plugins",
     "address_forms",
     "toml_reader",
     "shipped",

@@ -46,6 +46,7 @@ from companion.ownship import Ownship
 from companion.runtime import clock
 from companion.runtime.links.kept_link import KeptLink
 from companion.runtime.links.no_vehicle import no_vehicle
+from companion.runtime.plugins import judge_plugins
 from companion.runtime.policy import judge_policy
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
@@ -95,6 +96,7 @@ def check(config: Config, say: Callable[[str], None], *, as_json: bool = False) 
         find_signing,
         _settings,
         _kernels,
+        _plugins,
         _disk,
         _policy,
         _radios,
@@ -166,6 +168,16 @@ def _kernels(_config: Config, found: Preflight) -> None:
         )
     else:
         found.green("kernels", f"loaded from the cache in {took_s:.1f} s")
+
+
+def _plugins(config: Config, found: Preflight) -> None:
+    try:
+        lines = judge_plugins(config)
+    except ConfigError as error:
+        found.red("plug-in", str(error), "correct the plug-in, or name another one")
+        return
+    for line in lines:
+        found.green("plug-in", line.removeprefix("plug-in: "))
 
 
 def _disk(config: Config, found: Preflight) -> None:

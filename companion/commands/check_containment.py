@@ -11,20 +11,20 @@ from companion.commands.preflight import Preflight
 from companion.config import Config
 from companion.events import MissionDownloaded, MissionRefused, VehicleParameters
 from companion.geometry import LocalFrame
-from companion.laws import LAWS
+from companion.laws import kind_of
 
 
 def judge_containment(config: Config, found: Preflight) -> None:
     """Report how far and how long traffic without a signature can move the aircraft."""
     own = config.containment
-    if config.flight.use == "watch" or not LAWS[config.avoidance.law].avoids:
+    if config.flight.use == "watch" or not kind_of(config.avoidance.law).avoids:
         return
     side_m, above_m = crewed_reach_m(config)
     around = f"{own.side_m:g} m to the side, {own.below_m:g} m below and {own.above_m:g} m above the leg"
     found.green("containment", f"unproven traffic: {around}; {own.total_s:g} s, then {own.then}")
     around = f"{side_m:g} m to the side, {above_m:g} m above the leg, down to the floor"
     found.green("containment", f"crewed traffic: {around}; {own.crewed_total_s:g} s, then {own.crewed_then}")
-    if not LAWS[config.avoidance.law].keeps_fence:
+    if not kind_of(config.avoidance.law).keeps_fence:
         text = f'avoidance.law = "{config.avoidance.law}" keeps only its heights'
         found.yellow("containment", text, 'set avoidance.law = "dmuca"')
     if side_m < math.sqrt(2.0) * config.avoidance.crewed_horizontal_m:

@@ -12,7 +12,6 @@ import msgspec
 from msgspec import Meta
 
 from companion.events import FenceArea
-from companion.laws import LawName
 from companion.radio.null.section import NullRadio
 from companion.radio.registry import RadioConfig
 from companion.remote_id.messages import IdType, UaType
@@ -118,7 +117,8 @@ class AvoidanceConfig(_Section, frozen=True):
     """The avoidance law. The defaults are those of the reference flight tests; "paper" is exactly the
     published law."""
 
-    law: LawName = "dmuca"
+    law: Annotated[str, Meta(min_length=1)] = "dmuca"
+    """A key of `companion.laws.LAWS`, or the name of a plug-in."""
     conflict_radius_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
     """Radius of one aircraft. The separation of two aircraft must be at least twice this radius."""
     crewed_horizontal_m: Annotated[float, Meta(gt=0, le=5000)] = 150.0

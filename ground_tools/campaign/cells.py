@@ -196,8 +196,10 @@ def look(cell: Cell, seed: int) -> Look:
     """Fly one encounter and record everything. The flight is identical to the one that `fly` flies.
 
     Raises:
-        ConfigError: the generator cannot draw the encounter.
+        ConfigError: the generator cannot draw the encounter, or the law is that of a plug-in.
     """
+    if flown_by(cell).plugin is not None:
+        raise ConfigError(f"law {cell.law}: the flights of a plug-in's law are not recorded in a campaign")
     return _fly(cell, seed, looked=True)
 
 
@@ -238,9 +240,9 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     pairs, result = np.zeros((n, n, outcome.PAIR_ENTRIES)), np.zeros(outcome.FLIGHT_ENTRIES)
     rng, power_rng = np.random.default_rng([seed, 7]), np.random.default_rng([seed, 9])
     measured = powers.unmeasured(power_rng, conditions, n)
-    if cell.twins:
+    if cell.twins or law_flown.plugin is not None:
         laws = [
-            law.Law(avoidance if kind == vehicles.AVOIDS else LAWS["none"], own, path, fence)
+            law.new_law(avoidance if kind == vehicles.AVOIDS else LAWS["none"], own, path, fence)
             for kind, own, path in zip(kinds.tolist(), limits, paths, strict=True)
         ]
         twin_flight.fly(rng, conditions, times, points, fence, settings, kinds, laws, pairs, result)
@@ -274,6 +276,10 @@ def flown_by(cell: Cell) -> Flown:
         ConfigError: there is no such law, or it cannot fly this cell.
     """
     found = flown.flown_by(cell.law, dict(LAWS.items()))
+    if found.plugin is not None:
+        dark = WORLDS[cell.world].blackout_s > 0.0
+        twin_flight.check(cell.law, cell.intruder if cell.intruders else None, cell.signal, dark)
+        return found
     if cell.law not in LAWS and (cell.twins or (cell.world == "fence" and found.peer is not None)):
         what = f"--intruder {cell.intruder}" if cell.twins else "--world fence"
         raise ConfigError(f"--law {cell.law} cannot be combined with {what}; allowed: {', '.join(LAWS)}")
@@ -385,11 +391,13 @@ def software(*, twins: bool = False, peers: bool = False, scenarios: bool = Fals
 def software_of(cells: Iterable[Cell]) -> str:
     """`software`, as far as the flights of these cells depend on it."""
     cells = tuple(cells)
-    return software(
-        twins=any(cell.twins for cell in cells),
+    plugged = sorted({flown_by(cell).plugin_state for cell in cells} - {""})
+    state = software(
+        twins=bool(plugged) or any(cell.twins for cell in cells),
         peers=any(cell.law not in LAWS for cell in cells),
         scenarios=any(cell.on_missions or cell.generator in layouts.SCENARIOS for cell in cells),
     )
+    return "-".join([state, *plugged])
 
 
 def baseline(cell: Cell) -> Cell:
