@@ -47,7 +47,9 @@ def plugin_of(law: str) -> Plugin | None:
     """
     if law in LAWS:
         return None
-    try:
-        return plugins.load(plugins.LAWS, law)
-    except ConfigError as error:
-        raise ConfigError(f"{error}; allowed without a plug-in: {', '.join(LAWS)}") from error
+    there = plugins.names(plugins.LAWS)
+    if law not in there:
+        raise ConfigError(
+            f"{law!r} is unknown; allowed: {', '.join([*LAWS, *there])}, or another plug-in's law"
+        )
+    return plugins.load(plugins.LAWS, law)

@@ -22,7 +22,7 @@ from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.link import AutopilotLink
 from companion.autopilot.polled.streams import ENOUGH, STREAM_RATES_HZ
 from companion.avoidance.path import check_path
-from companion.commands.check_containment import judge_containment, judge_mission
+from companion.commands.check_containment import judge_containment, judge_law, judge_mission
 from companion.commands.drip_keys import find_signing
 from companion.commands.preflight import Preflight
 from companion.config import EXAMPLE_ID, Config, check_identity
@@ -46,7 +46,6 @@ from companion.ownship import Ownship
 from companion.runtime import clock
 from companion.runtime.links.kept_link import KeptLink
 from companion.runtime.links.no_vehicle import no_vehicle
-from companion.runtime.plugins import judge_plugins
 from companion.runtime.policy import judge_policy
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
@@ -96,7 +95,7 @@ def check(config: Config, say: Callable[[str], None], *, as_json: bool = False) 
         find_signing,
         _settings,
         _kernels,
-        _plugins,
+        judge_law,
         _disk,
         _policy,
         _radios,
@@ -168,16 +167,6 @@ def _kernels(_config: Config, found: Preflight) -> None:
         )
     else:
         found.green("kernels", f"loaded from the cache in {took_s:.1f} s")
-
-
-def _plugins(config: Config, found: Preflight) -> None:
-    try:
-        lines = judge_plugins(config)
-    except ConfigError as error:
-        found.red("plug-in", str(error), "correct the plug-in, or name another one")
-        return
-    for line in lines:
-        found.green("plug-in", line.removeprefix("plug-in: "))
 
 
 def _disk(config: Config, found: Preflight) -> None:

@@ -1,4 +1,4 @@
-"""What `companion check` says of the mission that is to be guarded, and of the containment."""
+"""What `companion check` says of the mission to be guarded, of the containment and of plug-ins."""
 
 from __future__ import annotations
 
@@ -9,9 +9,22 @@ from companion.autopilot.advice import too_fast
 from companion.autopilot.lists.mission import place_of
 from companion.commands.preflight import Preflight
 from companion.config import Config
+from companion.errors import ConfigError
 from companion.events import MissionDownloaded, MissionRefused, VehicleParameters
 from companion.geometry import LocalFrame
 from companion.laws import kind_of
+from companion.runtime.plugins import judge_plugins
+
+
+def judge_law(config: Config, found: Preflight) -> None:
+    """Report whether the law of a plug-in works, if one is to fly."""
+    try:
+        lines = judge_plugins(config)
+    except ConfigError as error:
+        found.red("plug-in", str(error), "correct the plug-in, or name another one")
+        return
+    for line in lines:
+        found.green("plug-in", line.removeprefix("plug-in: "))
 
 
 def judge_containment(config: Config, found: Preflight) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from companion import plugins
 from companion.address_forms import LINK_FORMS, check_form
 from companion.config.identity_checks import check_identity
-from companion.config.sections import Config
+from companion.config.sections import Config, policy_plugin
 from companion.errors import ConfigError
 from companion.geofence import check_areas
 from companion.laws import LAWS, kind_of, plugin_of
@@ -34,6 +35,12 @@ def check(config: Config, name: str) -> None:
         plugin_of(config.avoidance.law)
     except ConfigError as error:
         raise ConfigError(f"{name}: avoidance.law: {error}") from error
+    policy = policy_plugin(config.atmc.policy)
+    if policy is not None:
+        try:
+            plugins.load(plugins.POLICIES, policy)
+        except ConfigError as error:
+            raise ConfigError(f"{name}: atmc.policy: {error}") from error
     _check_flight(config, name)
     _check_limits(config, name)
     use = config.flight.use

@@ -23,6 +23,18 @@ EXAMPLE_ID = "1596B0000DMUCA01"
 CHOOSER_WORDS = ("rule", "fixed")
 """Values of `atmc.policy` other than a path: "rule" is the one-line rule, "fixed" the best fixed legal
 set."""
+_PLUGIN = "plugin:"
+"""What a value of `atmc.policy` begins with that names a plug-in."""
+
+
+def policy_plugin(policy: str | None) -> str | None:
+    """Name of the plug-in that a value of `atmc.policy` means, as in "plugin:mine"; None: it means none."""
+    return policy.removeprefix(_PLUGIN) if policy is not None and policy.startswith(_PLUGIN) else None
+
+
+def names_file(policy: str | None) -> bool:
+    """Whether a value of `atmc.policy` means a file."""
+    return policy is not None and policy not in CHOOSER_WORDS and policy_plugin(policy) is None
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -240,7 +252,7 @@ class AtmcConfig(_Section, frozen=True):
 
     policy: Annotated[str, Meta(min_length=1)] | None = None
     """Path of a policy file (relative to this file; absolute once loaded), name of a policy that comes with
-    the software (`atmc`), or one of `CHOOSER_WORDS`."""
+    the software (`atmc`), "plugin:NAME" for that of a plug-in, or one of `CHOOSER_WORDS`."""
     agent: Annotated[int, Meta(ge=0, le=99)] | None = None
     """Which network of the policy flies, if it holds one for each aircraft of its training."""
     period_s: Annotated[float, Meta(ge=0.5, le=60)] = 2.0

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from companion.atmc.plugin_policy import plugin_policy
 from companion.avoidance.plugin_law import try_out
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.laws import plugin_of
+from companion.runtime.policy import judge_policy
 
 
 def judge_plugins(config: Config) -> list[str]:
@@ -14,6 +16,8 @@ def judge_plugins(config: Config) -> list[str]:
     Raises:
         ConfigError: one of them cannot be loaded, or fails when it is tried out.
     """
+    if plugin_policy(config.atmc.policy) is not None:
+        judge_policy(config)
     law = plugin_of(config.avoidance.law)
     if law is None:
         return []

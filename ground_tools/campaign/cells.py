@@ -28,6 +28,7 @@ from ground_tools.campaign.peers.flown import Flown
 from ground_tools.campaign.scenarios import layouts, missions
 from ground_tools.campaign.world import World
 from ground_tools.common.kept_lines import Kept
+from ground_tools.common.plugin_state import state_of
 from ground_tools.results import sources
 
 Law = Literal["dmuca", "paper", "none"]
@@ -391,7 +392,7 @@ def software(*, twins: bool = False, peers: bool = False, scenarios: bool = Fals
 def software_of(cells: Iterable[Cell]) -> str:
     """`software`, as far as the flights of these cells depend on it."""
     cells = tuple(cells)
-    plugged = sorted({flown_by(cell).plugin_state for cell in cells} - {""})
+    plugged = sorted({state_of(p) for cell in cells if (p := flown_by(cell).plugin) is not None})
     state = software(
         twins=bool(plugged) or any(cell.twins for cell in cells),
         peers=any(cell.law not in LAWS for cell in cells),

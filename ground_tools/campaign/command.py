@@ -112,7 +112,7 @@ def _add_run(command: argparse.ArgumentParser) -> None:
         default="dmuca",
         metavar="NAME",
         help="avoidance law: ours (dmuca), the paper's (paper), none, or another one: "
-        f"{', '.join(PEERS)}, or that of a plug-in; parameters of its own as in {_LAW_EXAMPLE} (default: dmuca)",
+        f"{', '.join(PEERS)}, or a plug-in's; parameters of its own as in {_LAW_EXAMPLE} (default: dmuca)",
     )
     command.add_argument(
         "--speed", type=float, default=5.0, metavar="M/S", help="greatest speed (default: 5)"

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from companion.config import CHOOSER_WORDS, AtmcConfig, AvoidanceConfig, LimitsConfig
+from companion.config import CHOOSER_WORDS, AtmcConfig, AvoidanceConfig, LimitsConfig, names_file
 from companion.errors import ConfigError
 from companion.laws import plugin_of
 from companion.remote_id.region import Region
@@ -134,7 +134,7 @@ def _with_region(scenario: Scenario, path: Path) -> Scenario:
 def _with_policy(scenario: Scenario, path: Path) -> Scenario:
     """Return the scenario with the absolute path of its policy."""
     name = scenario.atmc.policy
-    if name is None or name in POLICY_WORDS:
+    if not names_file(name) or name is None or name == RANDOM:
         return scenario
     atmc = msgspec.structs.replace(
         scenario.atmc, policy=str(named(name, "policies", ".safetensors", path.parent).absolute())

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import msgspec
 
+from companion import plugins
 from companion.avoidance import kernels
 from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
@@ -34,15 +32,6 @@ class Flown:
     """Numbers of the companion's law that are changed, by field of `kernels.Settings`."""
     plugin: Plugin | None = None
     """The plug-in that `avoidance` names. It flies in Python, with the companion's own tracks (`twins`)."""
-
-    @property
-    def plugin_state(self) -> str:
-        """Digest of the plug-in's distribution and of the file that its law is in; "" without a plug-in."""
-        if self.plugin is None:
-            return ""
-        file = inspect.getsourcefile(self.plugin.loaded)
-        code = b"" if file is None else Path(file).read_bytes()
-        return hashlib.sha256(str(self.plugin).encode() + code).hexdigest()[:12]
 
     def settings(self, own: kernels.Settings, avoids: bool) -> list[float]:
         """The row of one aircraft in the table of settings of `flight.fly`.
@@ -73,10 +62,14 @@ def flown_by(law: str, companions: Mapping[str, AvoidanceConfig]) -> Flown:
         return Flown(companions[law])
     name = law.partition(":")[0]
     if name not in laws.PEERS and name != OWN:
+        there = plugins.names(plugins.LAWS)
+        if law not in there:
+            allowed = ", ".join([*companions, *laws.PEERS, *there])
+            raise ConfigError(f"--law: {name} is unknown; allowed: {allowed}, or another plug-in's law")
         try:
             plugin = plugin_of(law)
         except ConfigError as error:
-            raise ConfigError(f"--law: {error}, {', '.join(laws.PEERS)}") from error
+            raise ConfigError(f"--law: {error}") from error
         return Flown(msgspec.structs.replace(companions[OWN], law=law), plugin=plugin)
     try:
         if name == OWN:
