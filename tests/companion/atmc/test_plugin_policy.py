@@ -76,7 +76,7 @@ def test_an_action_that_is_not_legal_is_not_offered_to_it(watching):
     [
         (
             "lost",
-            "policy \"lost\" (plugged_policies:Lost of plugged_policies 1.0) failed: KeyError: 'weights'",
+            "(plugged_policies:Lost of plugged_policies 1.0) failed: KeyError: 'weights'",
         ),
         ("half", "failed: TypeError"),
         ("beyond", "chose 9999, which is not allowed"),
