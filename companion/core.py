@@ -15,6 +15,7 @@ from companion.authority.control import Control
 from companion.authority.plan import Plan, plan_of
 from companion.authority.readiness import Readiness
 from companion.authority.table import HOLDING, State
+from companion.autopilot.dialect import use
 from companion.broadcast.broadcaster import Broadcaster
 from companion.config import Config
 from companion.decider import Decider
@@ -64,6 +65,7 @@ class Companion:
 
     def __init__(self, config: Config, policy: bytes | None = None) -> None:
         plugin_of(config.avoidance.law)
+        use(config.vehicle.dialect)
         self.config = config
         """Configuration in effect: the configured one with the ground station's settings applied."""
         self._configured = self._wanted = config

@@ -49,6 +49,9 @@ class VehicleConfig(_Section, frozen=True):
     system_id: Annotated[int, Meta(ge=0, le=255)] = 0
     """MAVLink system ID of our vehicle. 0: the only autopilot on the link; if there are two, none is used."""
     component_id: Annotated[int, Meta(ge=1, le=255)] = 191
+    dialect: Annotated[str, Meta(min_length=1)] | None = None
+    """Name of a plug-in whose dialect takes the place of the firmware that it resembles; None: ArduPilot and
+    PX4 as they are."""
     wait_s: Annotated[float, Meta(gt=0, le=600)] = 10.0
     """How long to wait for the vehicle's first heartbeat."""
     stale_after_s: Annotated[float, Meta(ge=0.2, le=5)] = 1.0
