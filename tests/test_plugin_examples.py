@@ -19,10 +19,9 @@ PROJECTS = ("plugin-law", "plugin-policy", "plugin-radio", "plugin-firmware")
 def site(tmp_path_factory):
     """A folder into which all four projects are installed; `run` runs Python with it on the path."""
     folder = tmp_path_factory.mktemp("site")
-    command = [
-        sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index",
-        "--no-deps", "--no-build-isolation", "--target", str(folder), *(str(EXAMPLES / name) for name in PROJECTS),
-    ]  # fmt: skip
+    options = ["--quiet", "--disable-pip-version-check", "--no-index", "--no-deps", "--no-build-isolation"]
+    projects = [str(EXAMPLES / name) for name in PROJECTS]
+    command = [sys.executable, "-m", "pip", "install", *options, "--target", str(folder), *projects]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return folder
@@ -43,20 +42,8 @@ def run(site):
 @pytest.mark.parametrize("project", PROJECTS)
 def test_it_passes_the_kit(run, site, project):
     (test,) = (EXAMPLES / project).glob("test_*.py")
-    # Compiling the kernels takes longer than running them uncompiled here, but the law decides often.
-    done = run(
-        "-m",
-        "pytest",
-        "-p",
-        "no:cacheprovider",
-        "-q",
-        test,
-        "-c",
-        os.devnull,
-        "--rootdir",
-        EXAMPLES,
-        cwd=site,
-    )
+    alone = ["-p", "no:cacheprovider", "-c", os.devnull, "--rootdir", EXAMPLES]  # not this project's settings
+    done = run("-m", "pytest", "-q", *alone, test, cwd=site)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "passed" in done.stdout
     assert "skipped" not in done.stdout

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -389,9 +389,8 @@ def software(*, twins: bool = False, peers: bool = False, scenarios: bool = Fals
     return sources.digest([FLIGHT, *also, *ENCOUNTERS])
 
 
-def software_of(cells: Iterable[Cell]) -> str:
+def software_of(cells: Sequence[Cell]) -> str:
     """`software`, as far as the flights of these cells depend on it."""
-    cells = tuple(cells)
     plugged = sorted({state_of(p) for cell in cells if (p := flown_by(cell).plugin) is not None})
     state = software(
         twins=bool(plugged) or any(cell.twins for cell in cells),
