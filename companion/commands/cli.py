@@ -26,6 +26,7 @@ _EXAMPLES = """examples:
   companion check --config companion.toml
   companion run --config companion.toml --dry-run
   companion status
+  companion display
   companion replay runs/20260101T000000Z-demo
   companion replay flight.tlog --json
   companion remote-id listen --radio wifi=mon0
@@ -68,6 +69,16 @@ def _parser(given: Sequence[str]) -> argparse.ArgumentParser:
     status.add_argument("--once", action="store_true", help="print the state once and exit")
     status.add_argument("--json", action="store_true", help="print the state once, as one JSON object")
     status.set_defaults(run=_status)
+
+    display = commands.add_parser(
+        "display",
+        help="serve a page that shows the traffic around a flying aircraft",
+        epilog="companion display; companion display --host 0.0.0.0 --token 'a long secret'",
+    )
+    if given and given[0] == "display":
+        from companion.commands import display as display_command
+
+        display_command.add_arguments(display)
 
     checked = commands.add_parser(
         "check",
