@@ -48,6 +48,7 @@ ROOMS = [
     "decider",
     "core",
     "event_record",
+    "flight_logs",
     "system",
     "replay",
     "runtime",

@@ -214,7 +214,9 @@ class _Vehicle:
         if int(fields.get("C", self._core)) != self._core:
             return []
         flags = int(fields["SS"])
-        return [EstimatorState(usable=flags & _ESTIMATES == _ESTIMATES and not flags & _CONSTANT_POSITION)]
+        usable = flags & _ESTIMATES == _ESTIMATES and not flags & _CONSTANT_POSITION
+        # Before it is armed a vehicle has yet to find its position, which is no fault.
+        return [EstimatorState(usable=usable)] if usable or self._armed else []
 
     def _gps(self, time_s: float, fields: Fields, _: DataFlashReader) -> list[AnyEvent | AnyCommand]:
         if not int(fields.get("U", 1)):  # another receiver is in use

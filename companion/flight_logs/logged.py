@@ -104,7 +104,7 @@ class About:
         if not self.position_from:
             found.append("position")
         if self.first_m is not None:
-            found.append("home at first (heights are then above the first position)")
+            found.append("home from the beginning (until then heights are above the first position)")
         if not self.has_fix:
             found.append("GNSS fix" if GnssFix not in self.seen else "three-dimensional GNSS fix")
         if not self.wind:

@@ -158,6 +158,7 @@ class _Vehicle:
         self._home_m: float | None = None
         self._frame: LocalFrame | None = None
         self._nav_state = 0
+        self._armed = False
         self.readers: dict[str, Reader] = {
             "vehicle_global_position": self._global,
             "vehicle_local_position": self._local,
@@ -202,7 +203,8 @@ class _Vehicle:
     def _local(self, time_s: float, fields: Fields) -> list[AnyEvent | AnyCommand]:
         x, y, z, *velocity = (_number(fields, name) for name in ("x", "y", "z", *_ALL_SPEEDS))
         usable = bool(fields["v_xy_valid"] and fields["xy_global"])
-        found: list[AnyEvent | AnyCommand] = [EstimatorState(usable=usable)]
+        # Before it is armed a vehicle has yet to find its position, which is no fault.
+        found: list[AnyEvent | AnyCommand] = [EstimatorState(usable=usable)] if usable or self._armed else []
         if fields["v_xy_valid"] and all(map(math.isfinite, velocity)):
             self._velocity, self._velocity_s = (velocity[0], velocity[1], velocity[2]), time_s
         placed = fields["xy_global"] and fields["z_global"]
@@ -264,6 +266,7 @@ class _Vehicle:
             fields.setdefault(name, told.parameters.get(parameter, 0))
         about.system_id, kind = int(_number(fields, "system_id")) or 1, int(_number(fields, "system_type"))
         self._nav_state = int(_number(fields, "nav_state"))
+        self._armed = _number(fields, "arming_state") == _ARMED
         modes = _MODES | (_NEW_MODES if "nav_state_user_intention" in fields else {})
         main, sub = modes.get(self._nav_state, (0, 0))
         mode = main << 16 | sub << 24 if main else self._nav_state
@@ -274,7 +277,7 @@ class _Vehicle:
                 vehicle_type=kind,
                 custom_mode=mode,
                 mode=flight_mode(Firmware.PX4, kind, CUSTOM_MODE_ENABLED, mode),
-                armed=_number(fields, "arming_state") == _ARMED,
+                armed=self._armed,
             )
         ]
 

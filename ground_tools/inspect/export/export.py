@@ -25,7 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools export` to `parser`."""
     parser.description = "Export runs for other software. Several RUNs are put on one UTC time line."
     parser.epilog = EXAMPLE
-    parser.add_argument("run_folder", nargs="+", type=Path, metavar="RUN", help="run folder or .tlog file")
+    parser.add_argument(
+        "run_folder", nargs="+", type=Path, metavar="RUN", help="run folder, or .tlog, .bin or .ulg file"
+    )
     parser.add_argument(
         "--csv",
         type=Path,
