@@ -2,8 +2,7 @@
 
 An event record holds the input and the commands of the core. The same input must give the same commands, bit
 for bit if software and machine are the same. A tlog holds a vehicle's MAVLink. It is passed through the link
-and the core as if that vehicle flew now, but nothing is commanded. The events of an autopilot's onboard log go
-to the core directly.
+and the core as if that vehicle flew now, but nothing is commanded. An onboard log's events go to the core.
 """
 
 from __future__ import annotations

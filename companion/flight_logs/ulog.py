@@ -173,7 +173,7 @@ class UlogReader:
                 elif self._skip():
                     continue
                 else:
-                    return None
+                    left = 0
             if not self._ends:
                 self._counts.torn_bytes = left
                 return None
@@ -203,20 +203,21 @@ class UlogReader:
         return kind in _KINDS
 
     def _skip(self) -> bool:
-        """Go on behind the next synchronisation mark; False if there is none."""
+        """Go on behind the next synchronisation mark of this part; False if there is none."""
         start = self._offset + self._at
         self._counts.damaged_spans += 1
         while True:
-            found = self._buffer.find(_SYNC, self._at)
+            end = self._ends[0] - self._offset if self._ends else len(self._buffer)
+            found = self._buffer.find(_SYNC, self._at, end)
             if found >= 0:
                 self._at = found + len(_SYNC)
                 break
-            self._at = max(self._at, len(self._buffer) - len(_SYNC) + 1)
-            if not self._more():
-                self._at = len(self._buffer)
+            self._at = max(self._at, min(end, len(self._buffer)) - len(_SYNC) + 1)
+            if (self._ends and end <= len(self._buffer)) or not self._more():
+                self._at = min(end, len(self._buffer))
                 break
         self._counts.damaged_bytes += self._offset + self._at - start
-        return self._at < len(self._buffer)
+        return found >= 0
 
     def _other(self, kind: str, content: bytes) -> Logged | None:
         """Take in what is no data; returns a text."""
