@@ -218,6 +218,10 @@ def px4(path: Path) -> Path:
             rest = 3, 0.9, 1.4, SPEED_MPS, 0.0, -0.5, -50_000, utc_us
             log.data("vehicle_gps_position", us, *place, 0.3, *rest, 10 if tick == 100 else 12)
             log.data("vehicle_gps_position", us, *place, 0.3, *rest, 4, instance=1)
+        if tick == 40:
+            log.data("open_drone_id_arm_status", us, 1, b"missing basic_id message")
+            log.text(us, 6, "[commander] \x1b[32mReady for takeoff!\x1b[0m\t")
+            log.tagged(us, 4, "[battery] low battery")
         if tick % 5 == 0:
             velocity = (math.nan,) * 3 if tick == 60 else (3.0, -1.0, -0.5)
             log.data("trajectory_setpoint", us, math.nan, math.nan, math.nan, *velocity, 0.0)
@@ -227,9 +231,6 @@ def px4(path: Path) -> Path:
                 "transponder_report", us, ICAO, latitude(t), east, 1, ALT_M + 148.0, math.radians(270.0),
                 40.0, 0.0, b"TEST123", 3, 1, 1 | 2 | 4 | 8 | 16,
             )  # fmt: skip
-    log.data("open_drone_id_arm_status", 5_000_000, 1, b"missing basic_id message")
-    log.text(6_000_000, 6, "[commander] \x1b[32mReady for takeoff!\x1b[0m\t")
-    log.tagged(7_000_000, 4, "[battery] low battery")
     log.dropout(62)
     return log.save(path)
 

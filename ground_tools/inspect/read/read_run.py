@@ -353,9 +353,10 @@ def _onboard(
     except OSError as error:
         problems.append(f"{path.name}: cannot be read: {error.strerror}")
         return []
-    problems += log.about.damage(path.name)
     if not log.facts.steps:
         problems.append(f"{path.name}: the log has no message that can be shown")
+    problems += log.about.damage(path.name)
+    if not log.facts.steps:
         return []
     # Autopilots number their logs or name them after the time.
     name = path.stem if re.search("[A-Za-z]", path.stem) else f"system {log.about.system_id}"
