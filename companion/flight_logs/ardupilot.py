@@ -40,8 +40,8 @@ KIND = "ArduPilot DataFlash log"
 _POSITIONS = ("POS", "GPS")
 """Messages with positions, the preferred one first: the estimator's, the GNSS receiver's."""
 _EVENTS = {
-    15: "ready to take off (auto-armed)", 19: "GPS lost", 25: "home set", 30: "autotune started", 33: "autotune succeeded",
-    34: "autotune failed", 41: "fence enabled", 42: "fence disabled", 49: "parachute disabled",
+    15: "ready to take off (auto-armed)", 19: "GPS lost", 25: "home set", 30: "autotune started",
+    33: "autotune succeeded", 34: "autotune failed", 41: "fence enabled", 42: "fence disabled", 49: "parachute disabled",
     50: "parachute enabled", 51: "parachute released", 54: "motors stopped in an emergency",
     55: "emergency stop of the motors cleared", 56: "motor interlock disabled", 57: "motor interlock enabled",
     60: "EKF altitude reset", 61: "landing cancelled by the pilot", 62: "EKF yaw reset",
