@@ -41,8 +41,9 @@ _POSITIONS = ("POS", "GPS")
 """Messages with positions, the preferred one first: the estimator's, the GNSS receiver's."""
 _EVENTS = {
     15: "ready to take off (auto-armed)", 19: "GPS lost", 25: "home set", 30: "autotune started",
-    33: "autotune succeeded", 34: "autotune failed", 41: "fence enabled", 42: "fence disabled", 49: "parachute disabled",
-    50: "parachute enabled", 51: "parachute released", 54: "motors stopped in an emergency",
+    33: "autotune succeeded", 34: "autotune failed", 41: "fence enabled", 42: "fence disabled",
+    49: "parachute disabled", 50: "parachute enabled", 51: "parachute released",
+    54: "motors stopped in an emergency",
     55: "emergency stop of the motors cleared", 56: "motor interlock disabled", 57: "motor interlock enabled",
     60: "EKF altitude reset", 61: "landing cancelled by the pilot", 62: "EKF yaw reset",
     63: "ADS-B avoidance enabled", 64: "ADS-B avoidance disabled", 65: "proximity avoidance enabled",
@@ -159,8 +160,10 @@ class _Vehicle:
         self._mode: int | None = None
         self._armed = False
         self._core = 0
-        self._velocity: Vec3 | None = None
+        self._velocity: Vec3 = (0.0, 0.0, 0.0)
         self._velocity_s = -math.inf
+        self._gps_velocity: Vec3 = (0.0, 0.0, 0.0)
+        """Used as long as no estimator's velocity is logged."""
         self._home_m: float | None = None
         self._accuracy: tuple[float | None, ...] = (None, None, None, None)
         self.readers: dict[str, Reader] = {
@@ -175,8 +178,7 @@ class _Vehicle:
     def _position(self, time_s: float, fields: Fields, _: DataFlashReader) -> list[AnyEvent | AnyCommand]:
         if self._about.position_from != "POS":
             return []
-        known = time_s - self._velocity_s <= _VELOCITY_AGE_S and self._velocity is not None
-        velocity = self._velocity if known and self._velocity else (0.0, 0.0, 0.0)
+        velocity = self._velocity if time_s - self._velocity_s <= _VELOCITY_AGE_S else self._gps_velocity
         return self._at(time_s, fields, float(fields["RelHomeAlt"]), velocity)
 
     def _at(
@@ -243,11 +245,12 @@ class _Vehicle:
         if week > 0 and status >= mavlink.GPS_FIX_TYPE_3D_FIX:
             utc_s = _GPS_EPOCH_S + week * _WEEK_S + int(fields["GMS"]) / 1e3 - _LEAP_S
             found.append(VehicleTime(time_boot_s=time_s, utc_s=utc_s))
-        if self._about.position_from == "GPS" and status >= mavlink.GPS_FIX_TYPE_3D_FIX:
-            course = math.radians(float(fields["GCrs"]))
-            speed = float(fields["Spd"])
-            velocity = speed * math.cos(course), speed * math.sin(course), float(fields["VZ"])
-            found += self._at(time_s, fields, alt - self._about.home(self._home_m, alt), velocity)
+        if status >= mavlink.GPS_FIX_TYPE_3D_FIX:
+            course, speed = math.radians(float(fields["GCrs"])), float(fields["Spd"])
+            velocity = speed * math.cos(course), speed * math.sin(course), float(fields.get("VZ", 0.0))
+            self._gps_velocity = velocity
+            if self._about.position_from == "GPS":
+                found += self._at(time_s, fields, alt - self._about.home(self._home_m, alt), velocity)
         return found
 
     def _gps_accuracy(self, _s: float, fields: Fields, _: DataFlashReader) -> list[AnyEvent | AnyCommand]:

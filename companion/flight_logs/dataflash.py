@@ -89,11 +89,11 @@ class DataFlashReader:
         Raises:
             PeerDataError: this is no DataFlash log.
         """
-        while self._fill():
+        while True:
             yield from self._whole()
-            if self._at < len(self._buffer) and not self._is_torn():
+            if not self._is_torn():
                 self._skip()
-            elif self._ended:
+            elif not self._more():
                 break
         if not self._counts.messages:
             raise PeerDataError(f"{self._name}: this is no DataFlash log: it has no whole message")
@@ -107,14 +107,14 @@ class DataFlashReader:
                 return self._factors.get(ids[index]) if index < len(ids) else None
         return None
 
-    def _fill(self) -> bool:
-        """Drop what was read and read on; False if nothing is left."""
-        if not self._ended:
-            more = self._stream.read(_CHUNK)
-            self._ended = not more
-            self._buffer = self._buffer[self._at :] + more
-            self._at = 0
-        return self._at < len(self._buffer)
+    def _more(self) -> bool:
+        """Drop what was used and read on; False if the end was reached before."""
+        if self._ended:
+            return False
+        more = self._stream.read(_CHUNK)
+        self._ended = not more
+        self._buffer, self._at = self._buffer[self._at :] + more, 0
+        return True
 
     def _whole(self) -> Iterator[tuple[str, Fields]]:
         """Yield the messages in the buffer up to the first place that needs a closer look."""
@@ -146,10 +146,10 @@ class DataFlashReader:
         self._at = at
 
     def _is_torn(self) -> bool:
-        """Whether what is left is the beginning of a message, whose rest follows or is missing."""
+        """Whether nothing is left, or the beginning of a message whose rest follows or is missing."""
         left = len(self._buffer) - self._at
         if left < 3:
-            return HEAD.startswith(self._buffer[self._at : self._at + 2][:left])
+            return HEAD.startswith(self._buffer[self._at : self._at + 2])
         if self._buffer[self._at : self._at + 2] != HEAD:
             return False
         length = self._lengths[self._buffer[self._at + 2]]

@@ -24,6 +24,8 @@ WINDOW_S = 1.0
 """Messages are written out of order by less than this."""
 JUMP_S = 60.0
 """A time stamp that is farther than this from the last one counts only if the next message confirms it."""
+MOST_WAITING = 20_000
+"""Most messages that wait for earlier ones. A log with more of them in `WINDOW_S` is damaged."""
 WIND_PERIOD_S = 1.0
 """Least time between two kept estimates of the wind."""
 FIX_3D = 3
@@ -85,7 +87,7 @@ class About:
         """Note an estimate of the wind, unless it is exactly zero, which stands for no estimate."""
         if not (math.isfinite(north_mps) and math.isfinite(east_mps)) or (north_mps == east_mps == 0.0):
             return
-        if not self.wind or abs(time_s - self.wind[-3]) >= WIND_PERIOD_S:
+        if not self.wind or time_s - self.wind[-3] >= WIND_PERIOD_S:
             self.wind.extend((time_s, north_mps, east_mps))
 
     def home(self, known_m: float | None, alt_msl_m: float) -> float:
@@ -186,7 +188,8 @@ class TimeOrder:
             self._about.counts.bad_values += 1
             self._doubtful = None
         self._push(time_s, item)
-        while self._heap and self._heap[0][0] < self._newest + self._shift_s - WINDOW_S:
+        due_s = self._newest + self._shift_s - WINDOW_S
+        while self._heap and (self._heap[0][0] < due_s or len(self._heap) > MOST_WAITING):
             yield self._pop()
 
     def rest(self) -> Iterator[Step]:

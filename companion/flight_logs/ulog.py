@@ -104,6 +104,8 @@ class UlogReader:
         self._wanted = wanted
         self._counts = counts
         self._formats: dict[str, list[tuple[str, int, str]]] = {}
+        self._lengths: dict[str, int] = {}
+        """Bytes of one element of each type that was measured."""
         self._topics: dict[int, _Topic] = {}
         self._sizes: dict[int, tuple[int, int]] = {}
         """Lengths that the data of each subscription may have."""
@@ -239,7 +241,7 @@ class UlogReader:
                 case "O":
                     self._counts.dropouts += 1
                     self._counts.dropouts_s += struct.unpack_from("<H", content)[0] / 1e3
-                case "B":
+                case "B" if not self._counts.messages:  # it is the first message, or none
                     self._flags(content)
                 case _:
                     pass
@@ -266,6 +268,7 @@ class UlogReader:
             kind, _, count = kind.partition("[")
             fields.append((kind, int(count.rstrip("]")) if count else 1, column))
         self._formats[name] = fields
+        self._lengths.clear()
 
     def _subscribe(self, number: int, instance: int, name: str) -> None:
         fields, padding = self._formats[name], 0
@@ -288,7 +291,12 @@ class UlogReader:
             return struct.calcsize("<" + _SIZES[kind])
         if depth > _MOST_NESTED:
             raise ValueError(f"format {kind} contains itself")
-        return sum(count * self._size(inner, depth + 1) for inner, count, _ in self._formats[kind])
+        if kind not in self._lengths:
+            parts = (count * self._size(inner, depth + 1) for inner, count, _ in self._formats[kind])
+            self._lengths[kind] = sum(parts)
+        if not 0 <= self._lengths[kind] <= _MOST_BYTES:
+            raise ValueError(f"format {kind} is longer than a message")
+        return self._lengths[kind]
 
     def _key(self, kind: str, content: bytes) -> None:
         """Take in an information or a parameter: a length, TYPE NAME, and the value."""

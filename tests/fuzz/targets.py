@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterable
-from functools import cache
+import tempfile
+from collections.abc import Callable, Iterable
+from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -39,6 +41,7 @@ from companion.events import (
     RemoteIdHeard,
     SetMode,
 )
+from companion.flight_logs import About, ardupilot, px4
 from companion.geofence import check_areas
 from companion.geometry import LocalFrame
 from companion.radio.ether import datagrams
@@ -75,6 +78,7 @@ from tests.fuzz.seeds import (
     taking,
     vectors,
 )
+from tests.support import onboard_logs
 
 MAX_TRACKS = 50
 UTC_S = 1_750_000_000.0
@@ -97,6 +101,21 @@ def _read_odid(data: bytes) -> None:
 
 
 _ODID_IDS = sorted(READABLE)
+
+
+def _read_log(read_steps: Callable[..., Iterable[object]], data: bytes) -> None:
+    for _ in read_steps(io.BytesIO(data), "a log", About()):
+        pass
+
+
+@cache
+def _log_seeds(ending: str) -> list[bytes]:
+    """The beginning of small logs: their formats and a few messages."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "x"
+        arducopter, arduplane = onboard_logs.copter, onboard_logs.old_plane
+        makers = (arducopter, arduplane) if ending == "bin" else (onboard_logs.px4, onboard_logs.old_px4)
+        return [make(path).read_bytes()[:4500] for make in makers]
 
 
 @cache
@@ -424,5 +443,7 @@ def make_targets() -> list[Target]:
         _drip_hearing(),
         _link(),
         _signed_link(),
+        Target("dataflash log", _log_seeds("bin"), taking(partial(_read_log, ardupilot.read_steps))),
+        Target("ulog", _log_seeds("ulg"), taking(partial(_read_log, px4.read_steps))),
         *radio_targets.make_targets(),
     ]

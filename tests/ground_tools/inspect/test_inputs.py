@@ -239,10 +239,10 @@ def unreadable(folder: Path, kind: str) -> tuple[Path, str]:
             return path, "this is a compressed file"
         case "ulg":
             path.write_bytes(b"ULog\x01\x12\x35")
-            return path, "a PX4 log"
+            return path, "no ULog file"
         case _:
             path.write_bytes(b"\xa3\x95\x80\x80")
-            return path, "an ArduPilot dataflash log"
+            return path, "no DataFlash log"
 
 
 @pytest.mark.parametrize(
