@@ -28,6 +28,7 @@ _EXAMPLES = """examples:
   companion status
   companion replay runs/20260101T000000Z-demo
   companion replay flight.tlog --json
+  companion replay 00000042.BIN
   companion remote-id listen --radio wifi=mon0
   companion remote-id decode < messages.hex
 """
