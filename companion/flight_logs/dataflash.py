@@ -192,7 +192,10 @@ class DataFlashReader:
             self._formats.pop(kind, None)
 
     def _units(self, name: str, fields: Fields) -> None:
-        if name == "MULT":
-            self._factors[chr(int(fields["Id"]) & 0xFF)] = float(fields["Mult"])
-        else:
-            self._factor_ids[int(fields["FmtType"])] = str(fields["MultIds"])
+        try:
+            if name == "MULT":
+                self._factors[chr(int(fields["Id"]) & 0xFF)] = float(fields["Mult"])
+            else:
+                self._factor_ids[int(fields["FmtType"])] = str(fields["MultIds"])
+        except (KeyError, ValueError, OverflowError):
+            self._counts.bad_values += 1

@@ -8,6 +8,7 @@ before the data that use them. After a damaged place the reader goes on at the n
 from __future__ import annotations
 
 import itertools
+import os
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -91,7 +92,7 @@ class UlogReader:
         """Read the header.
 
         Args:
-            stream: the file; it is read as needed.
+            stream: the file, read from its beginning as needed.
             name: what to call it in errors.
             wanted: topics to yield, with those of their fields that are read, where a log has them.
             counts: filled in while reading.
@@ -109,6 +110,8 @@ class UlogReader:
         self._topics: dict[int, _Topic] = {}
         self._sizes: dict[int, tuple[int, int]] = {}
         """Lengths that the data of each subscription may have."""
+        self._size_bytes = stream.seek(0, os.SEEK_END)
+        stream.seek(0)
         self._buffer = stream.read(_HEADER.size)
         self._at = _HEADER.size
         self._offset = 0
@@ -257,7 +260,7 @@ class UlogReader:
                 f"(incompatible flags {incompatible.hex()}); allowed: data appended to the file"
             )
         if incompatible[0] & 1:
-            self._ends = sorted(offset for offset in offsets if offset)
+            self._ends = sorted(offset for offset in offsets if _HEADER.size < offset < self._size_bytes)
 
     def _format(self, text: str) -> None:
         """Take in a message's format: NAME:TYPE FIELD;TYPE[COUNT] FIELD;..."""
