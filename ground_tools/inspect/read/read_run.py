@@ -39,6 +39,7 @@ _OTHER_KINDS = {
 }
 """First bytes of other file types that users often keep next to their logs, with the text for the error."""
 _ALLOWED = "a run folder, an event record (.events), a log (.tlog, ArduPilot's .bin, PX4's .ulg)"
+_OTHER_KIND = re.compile("not a telemetry log|no DataFlash log|no ULog file")
 _RECORDS = (".events", ".tlog", *read_onboard.SUFFIXES)
 _MOST_NAMED = 5
 """Most runs that are named for a folder that holds them."""
@@ -192,7 +193,9 @@ def _file(path: Path) -> Run:
     else:
         aircraft = _flight(None, path, path.parent, problems, notes)
     if not aircraft:
-        raise ConfigError(f"{path.parent / problems[0]}" if problems else f"{path}: the file has no content")
+        words = problems[0] if problems else f"{path.name}: the file has no content"
+        allowed = f"; allowed: {_ALLOWED}" if _OTHER_KIND.search(words) else ""
+        raise ConfigError(f"{path.parent / words}{allowed}")
     return Run(path, None, None, tuple(aircraft), tuple(problems), tuple(notes))
 
 

@@ -278,7 +278,8 @@ def test_damage_is_said(tmp_path: Path):
     ("content", "words"),
     [
         (b"FMT, 128, 89, FMT, BBnNZ", "converted to text.*allowed: .*ArduPilot's .bin, PX4's .ulg"),
-        (b"\xa3\x95\x80\x80" + bytes(100), "no DataFlash log"),
+        (b"Dear diary, " * 50, "not a telemetry log.*allowed: a run folder.*PX4's .ulg"),
+        (b"\xa3\x95\x80\x80" + bytes(100), "no DataFlash log.*allowed: a run folder"),
         (b"ULog\x01\x12\x35" + bytes(100), "no message that can be shown"),
         (b"ULog\x02" + bytes(100), "no ULog file"),
     ],
