@@ -49,6 +49,7 @@ ROOMS = [
     "decider",
     "core",
     "event_record",
+    "flight_logs",
     "system",
     "replay",
     "runtime",

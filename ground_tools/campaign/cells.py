@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from companion.arrays import Bools, Floats
+from companion.arrays import Floats
 from companion.avoidance import kernels, law
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
@@ -23,9 +23,10 @@ from companion.errors import ConfigError
 from ground_tools.campaign import flight, outcome, powers, vehicles
 from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.generators import draw
-from ground_tools.campaign.peers import flown
+from ground_tools.campaign.peers import flown, omniscient
 from ground_tools.campaign.peers.flown import Flown
-from ground_tools.campaign.scenarios import layouts, missions
+from ground_tools.campaign.scenarios import files, layouts, missions
+from ground_tools.campaign.scenarios.surroundings import CREWED_MPS, crewed_ways, fence_beside
 from ground_tools.campaign.world import World
 from ground_tools.common.kept_lines import Kept
 from ground_tools.common.plugin_state import state_of
@@ -61,13 +62,17 @@ TWINS = "ground_tools.campaign.twins"
 """Module that flies an encounter in which two aircraft send one identity."""
 PEERS = "ground_tools.campaign.peers.laws"
 """Module that names the laws of others."""
+PLANNED = "ground_tools.campaign.peers.omniscient"
+"""Module of the law that plans everything before the flight."""
 ENCOUNTERS = ("ground_tools.campaign.generators", "companion.avoidance.trajectory")
 """Modules that draw an encounter."""
 SCENARIOS = ("ground_tools.campaign.scenarios.layouts", "ground_tools.campaign.scenarios.missions")
 """Modules that draw scenarios and the paths of intruders on missions."""
-CREWED_MPS = 50.0
-FENCE_ASIDE_M = 20.0
-_FAR_M = 1e4
+FILES = "ground_tools.campaign.scenarios.files"
+"""Module that makes flights of files of others."""
+MISSION_MPS2 = 5.0
+"""Limit of the change of command of an intruder on a mission. It turns as sharply as vehicles here can, and
+so passes where its path does."""
 _RESERVE = 0.6
 """Ratio of planned to greatest speed in encounters in which each aircraft has its own limits."""
 SEPARATION_M = 2.0 * AvoidanceConfig().conflict_radius_m
@@ -77,6 +82,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     """Encounters of one kind, flown by one law in one world. They differ only in their seeds."""
 
     generator: str
+    """One of `generators.NAMES`, a key of `layouts.SCENARIOS`, or an episode of a file (`files.name_of`)."""
     aircraft: int
     law: str = "dmuca"
     """A key of `LAWS`, or a peer as `peers.laws.of` reads it."""
@@ -214,7 +220,7 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
         times, points = missions.flown(cell.intruder, times, points, kinds != vehicles.AVOIDS, seed)
     crewed = (kinds == vehicles.CREWED) | (kinds == vehicles.BAROMETRIC)
     if crewed.any():
-        points[crewed] = _crewed_ways(times, points, crewed, seed)
+        points[crewed] = crewed_ways(times, points, crewed, seed)
     paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
     limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
     settings = np.array(
@@ -223,11 +229,12 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
             for own, path, kind in zip(limits, paths, kinds.tolist(), strict=True)
         ]
     )
-    fence = _fence_beside(points) if cell.world == "fence" else kernels.NO_WALLS
+    fence = fence_beside(points) if cell.world == "fence" else kernels.NO_WALLS
+    start_s, end_s = _from_to_s(cell, times)
     world = msgspec.structs.replace(
         WORLDS[cell.world],
-        start_s=float(times.min()),
-        end_s=float(times.max()),
+        start_s=start_s,
+        end_s=end_s,
         delay_s=cell.delay_s,
         loss=cell.loss,
         message_s=1.0 / cell.rate,
@@ -247,6 +254,11 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
             for kind, own, path in zip(kinds.tolist(), limits, paths, strict=True)
         ]
         twin_flight.fly(rng, conditions, times, points, fence, settings, kinds, laws, pairs, result)
+    elif law_flown.planned:
+        futures = look(msgspec.structs.replace(cell, law="none"), seed).trace
+        omniscient.fly(
+            rng, conditions, times, points, fence, settings, kinds, futures, trace, log, pairs, result
+        )
     else:
         flight.fly(
             rng, conditions, times, points, fence, settings, kinds, trace, log, pairs, result, measured,
@@ -258,16 +270,24 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
 
 
 def _drawn(cell: Cell, seed: int) -> tuple[Floats, Floats]:
-    """The paths that the generator or scenario of a cell draws.
+    """The paths that the generator, scenario or file of a cell draws.
 
     Raises:
         ConfigError: it cannot draw them.
     """
+    if cell.generator.startswith(files.PREFIX):
+        return files.draw(cell.generator, seed)
     drawing = layouts.draw if cell.generator in layouts.SCENARIOS else draw
     try:
         return drawing(cell.generator, cell.aircraft, cell.speed_mps, seed)
     except ValueError as error:
         raise ConfigError(f"seed {seed}: {error}") from error
+
+
+def _from_to_s(cell: Cell, times: Floats) -> tuple[float, float]:
+    """When the flight of a cell begins and ends on its paths."""
+    beyond_s = files.BEYOND_S if cell.generator.startswith(files.PREFIX) else 0.0
+    return float(times.min()) + beyond_s, float(times.max()) - beyond_s
 
 
 def flown_by(cell: Cell) -> Flown:
@@ -281,6 +301,10 @@ def flown_by(cell: Cell) -> Flown:
         dark = WORLDS[cell.world].blackout_s > 0.0
         twin_flight.check(cell.law, cell.intruder if cell.intruders else None, cell.signal, dark)
         return found
+    crewed = found.planned and cell.intruders > 0.0 and cell.intruder in ("crewed", "barometric")
+    if found.planned and (cell.world != "calm" or crewed):
+        what = f"--intruder {cell.intruder}" if crewed else f"--world {cell.world}"
+        raise ConfigError(f"--law {cell.law} cannot be combined with {what}")
     if cell.law not in LAWS and (cell.twins or (cell.world == "fence" and found.peer is not None)):
         what = f"--intruder {cell.intruder}" if cell.twins else "--world fence"
         raise ConfigError(f"--law {cell.law} cannot be combined with {what}; allowed: {', '.join(LAWS)}")
@@ -301,59 +325,16 @@ def _row(seed: int, result: Floats, pairs: Floats, flagged: list[list[int]]) -> 
 
 
 def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
-    speed = cell.speed_mps
+    speed, change = cell.speed_mps, LimitsConfig().max_acceleration_mps2
     if kind in (vehicles.CREWED, vehicles.BAROMETRIC):
         speed = CREWED_MPS
     elif cell.on_missions and kind != vehicles.AVOIDS:
-        speed = path.max_speed() / _RESERVE
+        speed, change = path.max_speed() / _RESERVE, MISSION_MPS2
     elif not cell.reserve:
         speed = path.max_speed()
     elif cell.generator == "mixed":
         speed = path.max_speed() / _RESERVE
-    return LimitsConfig(max_speed_mps=speed)
-
-
-def _crewed_ways(times: Floats, points: Floats, crewed: Bools, seed: int) -> Floats:
-    """Waypoints of the crewed aircraft: level and straight at `CREWED_MPS` through the mean position of the
-    others at the middle of the flight, with random headings.
-
-    Args:
-        times, points: shapes (A, K) and (A, K, 3).
-        crewed: shape (A,), which of the aircraft are crewed.
-    """
-    rng = np.random.default_rng([seed, 8])
-    middle = 0.5 * (times.min() + times.max())
-    others = [
-        [np.interp(middle, t, p[:, c]) for c in range(3)]
-        for t, p in zip(times[~crewed], points[~crewed], strict=True)
-    ]
-    heading = rng.uniform(0.0, 2.0 * math.pi, crewed.sum())
-    way = CREWED_MPS * np.column_stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)])
-    ways: Floats = np.mean(others, axis=0) + (times[crewed] - middle)[:, :, None] * way[:, None]
-    return ways
-
-
-def _fence_beside(points: Floats) -> Floats:
-    """One inclusion area with a border beside all paths and parallel to them, to the right of the first one.
-
-    Raises:
-        ConfigError: the paths do not run along one line.
-    """
-    along = points[0, -1, :2] - points[0, 0, :2]
-    along = along / np.linalg.norm(along)
-    right = np.array([-along[1], along[0]])
-    aside = points[:, :, :2] @ right
-    if np.ptp(aside) > 2.0 * FENCE_ASIDE_M:
-        raise ConfigError(
-            "--world: fence: the paths must be along one line; allowed: head-on or overtaking encounters"
-        )
-    edge = aside.max() + FENCE_ASIDE_M
-    corners = [
-        sign * _FAR_M * along + offset * right
-        for sign, offset in ((1.0, edge), (-1.0, edge), (-1.0, -_FAR_M), (1.0, -_FAR_M))
-    ]
-    around = zip(corners, (*corners[1:], corners[0]), strict=True)
-    return np.array([kernels.Wall(0.0, kernels.IN_POLYGON, a[0], a[1], b[0], b[1], 0.0) for a, b in around])
+    return LimitsConfig(max_speed_mps=speed, max_acceleration_mps2=change)
 
 
 def kept(folder: Path, cell: Cell) -> Kept[Row]:
@@ -373,15 +354,26 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
     return Kept(folder / f"{cell.name}.jsonl", header, Row, attrgetter("seed"))
 
 
-def software(*, twins: bool = False, peers: bool = False, scenarios: bool = False) -> str:
+def software(
+    *,
+    twins: bool = False,
+    peers: bool = False,
+    planned: bool = False,
+    scenarios: bool = False,
+    others: bool = False,
+) -> str:
     """Digest of the code of law, world and encounters, on which the flights depend.
 
     Args:
         twins: also that of the tracks.
         peers: also that of the laws of `peers`.
+        planned: also that of `peers.omniscient`.
         scenarios: also that of missions and scenarios.
+        others: also that of flights from files.
     """
     also = [
+        *([FILES] if others else []),
+        *([PLANNED] if planned else []),
         *([TWINS] if twins else []),
         *([PEERS] if peers else []),
         *(SCENARIOS if scenarios else []),
@@ -394,8 +386,10 @@ def software_of(cells: Sequence[Cell]) -> str:
     plugged = sorted({state_of(p) for cell in cells if (p := flown_by(cell).plugin) is not None})
     state = software(
         twins=bool(plugged) or any(cell.twins for cell in cells),
-        peers=any(cell.law not in LAWS for cell in cells),
+        peers=any(cell.law not in LAWS and cell.law != omniscient.NAME for cell in cells),
+        planned=any(cell.law == omniscient.NAME for cell in cells),
         scenarios=any(cell.on_missions or cell.generator in layouts.SCENARIOS for cell in cells),
+        others=any(cell.generator.startswith(files.PREFIX) for cell in cells),
     )
     return "-".join([state, *plugged])
 
@@ -423,7 +417,8 @@ def baseline(cell: Cell) -> Cell:
 def duration_s(cell: Cell) -> float:
     """Duration of one flight of a cell."""
     times, _ = _drawn(cell, 1)
-    return float(times.max() - times.min())
+    start_s, end_s = _from_to_s(cell, times)
+    return end_s - start_s
 
 
 def lost(rows: Sequence[Row]) -> int:

@@ -22,6 +22,7 @@ from ground_tools.campaign.encounters import command as encounters
 from ground_tools.campaign.generators import NAMES
 from ground_tools.campaign.peers import command as peers
 from ground_tools.campaign.peers.laws import PEERS
+from ground_tools.campaign.peers.omniscient import NAME as OMNISCIENT
 from ground_tools.campaign.runs import add_common, fly_missing, summary, work_of
 from ground_tools.campaign.scenarios import command as scenarios
 from ground_tools.campaign.scenarios.layouts import SCENARIOS
@@ -80,9 +81,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     peers.add_arguments(command)
     command = commands.add_parser(
         "scenarios",
-        help="fly everyday traffic: lanes, formations, landings, merging",
-        description="Fly everyday traffic, and measure who arrives and who deviates for nothing.",
-        epilog="example: ground-tools campaign scenarios lanes-15 parking --laws dmuca orca-constant",
+        help="fly everyday traffic: lanes, formations, landings, merging, or files of others",
+        description="Fly everyday traffic, or files of others, and measure who arrives and who deviates for "
+        "nothing.",
+        epilog="examples:\n"
+        "  ground-tools campaign scenarios lanes-15 parking --laws dmuca orca-constant\n"
+        "  ground-tools campaign scenarios --scn super8.scn wall.scn --laws none dmuca omniscient",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     scenarios.add_arguments(command)
@@ -112,7 +116,8 @@ def _add_run(command: argparse.ArgumentParser) -> None:
         default="dmuca",
         metavar="NAME",
         help="avoidance law: ours (dmuca), the paper's (paper), none, or another one: "
-        f"{', '.join(PEERS)}, or a plug-in's; parameters of its own as in {_LAW_EXAMPLE} (default: dmuca)",
+        f"{', '.join(PEERS)}, or a plug-in's; parameters of its own as in {_LAW_EXAMPLE}; or {OMNISCIENT}, "
+        "which knows everybody's future (default: dmuca)",
     )
     command.add_argument(
         "--speed", type=float, default=5.0, metavar="M/S", help="greatest speed (default: 5)"

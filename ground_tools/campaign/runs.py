@@ -110,7 +110,7 @@ def _state() -> str:
     """The versions of all software that the rows depend on. Also compiles the flight code once, so that the
     cached result serves the other workers of the machine."""
     campaign.fly(Cell(generator="crossing", aircraft=2), [1])
-    state = campaign.software(twins=True, peers=True, scenarios=True)
+    state = campaign.software(twins=True, peers=True, planned=True, scenarios=True)
     return f"{state}, numba {numba.__version__}, numpy {np.__version__}"
 
 

@@ -17,6 +17,7 @@ from rich.console import Console
 from companion.errors import ConfigError
 from ground_tools import cli
 from ground_tools.common.cluster import on_ray
+from tests.support.encounter_models import TINY
 
 RUN = ["campaign", "run", "--generator", "crossing", "--aircraft", "3", "--seeds", "1-400"]
 
@@ -79,6 +80,17 @@ def test_rows_are_those_of_this_machine_and_go_on(address, tmp_path, capsys):
     again = json.loads(capsys.readouterr().out)
     assert again["flight_s"] == there["flight_s"] / 2.0
     assert {**again, "wall_s": 0.0, "flight_s": 0.0} == {**there, "wall_s": 0.0, "flight_s": 0.0}
+
+
+def test_encounters_with_crewed_aircraft_are_those_of_this_machine(address, tmp_path, capsys):
+    command = ["campaign", "encounters", "--model", str(TINY), "--seeds", "1-120", "--json"]
+    for folder, options in (("here", ["--processes", "1"]), ("there", ["--ray", address])):
+        assert cli.main([*command, "--out", str(tmp_path / folder), *options]) == 0
+    here, there = map(json.loads, capsys.readouterr().out.splitlines())
+    assert here["flown"] == there["flown"] == 120
+    assert {**here, "wall_s": 0.0} == {**there, "wall_s": 0.0}
+    (kept,) = (tmp_path / "there").glob("tiny-hover-geometric-*.jsonl")
+    assert len(kept.read_text().splitlines()) == 121
 
 
 def test_a_lost_worker_is_said_and_its_work_done_again(address, tmp_path):

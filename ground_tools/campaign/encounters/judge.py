@@ -1,8 +1,11 @@
 """Whether two aircraft came into each other's volume: near mid-air collision, and loss of well clear.
 
-Both volumes are cylinders: a distance to the side and one in height that must be undercut at the same time.
+All volumes are cylinders: a distance to the side and one in height that must be undercut at the same time.
 ASTM F3442 takes 500 ft and 100 ft for the near mid-air collision (NMAC) and 2,000 ft and 250 ft for well
-clear of a small uncrewed and a crewed aircraft.
+clear of a small uncrewed and a crewed aircraft. Between two small uncrewed aircraft, whose wingspans are up
+to 25 ft, 50 ft and 15 ft take the place of the first one (sNMAC; A. Weinert, L. Alvarez, M. Owen, B. Zintak,
+"Near Midair Collision Analog for Drones Based on Unmitigated Collision Risk", Journal of Air Transportation,
+2022).
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ class Volume(NamedTuple):
 
 
 NMAC: Final = Volume(500.0 * FOOT_M, 100.0 * FOOT_M)
+SNMAC: Final = Volume(50.0 * FOOT_M, 15.0 * FOOT_M)
 WELL_CLEAR: Final = Volume(2000.0 * FOOT_M, 250.0 * FOOT_M)
 
 

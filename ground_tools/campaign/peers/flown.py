@@ -1,4 +1,4 @@
-"""What the name of a law means for a flight: a law of the companion, one of `laws`, or that of a plug-in."""
+"""What a law's name means for a flight: the companion's, one of `laws`, a plug-in's, or `omniscient`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
 from companion.laws import plugin_of
 from companion.plugins import Plugin
-from ground_tools.campaign.peers import laws
+from ground_tools.campaign.peers import laws, omniscient
 from ground_tools.campaign.peers.orca import Orca
 
 OWN = "dmuca"
@@ -30,6 +30,8 @@ class Flown:
     """The law that flies instead of the companion's."""
     changed: dict[str, float] = field(default_factory=dict)
     """Numbers of the companion's law that are changed, by field of `kernels.Settings`."""
+    planned: bool = False
+    """Whether everything is planned before the flight (`omniscient`)."""
     plugin: Plugin | None = None
     """The plug-in that `avoidance` names. It flies in Python, with the companion's own tracks (`twins`)."""
 
@@ -41,6 +43,8 @@ class Flown:
             avoids: False: the aircraft flies its path only.
         """
         own = own._replace(**self.changed)
+        if self.planned:
+            return list(own._replace(law=kernels.NONE))
         if self.peer is None:
             return list(own if avoids else own._replace(law=kernels.NONE))
         _, parameters = self.peer
@@ -60,11 +64,13 @@ def flown_by(law: str, companions: Mapping[str, AvoidanceConfig]) -> Flown:
     """
     if law in companions:
         return Flown(companions[law])
+    if law == omniscient.NAME:
+        return Flown(companions[OWN], planned=True)
     name = law.partition(":")[0]
     if name not in laws.PEERS and name != OWN:
         there = plugins.names(plugins.LAWS)
         if law not in there:
-            allowed = ", ".join([*companions, *laws.PEERS, *there])
+            allowed = ", ".join([*companions, *laws.PEERS, omniscient.NAME, *there])
             raise ConfigError(f"--law: {name} is unknown; allowed: {allowed}, or another plug-in's law")
         try:
             plugin = plugin_of(law)

@@ -13,7 +13,7 @@ from ground_tools import cli
 from ground_tools.campaign.encounters import cells, flight, pairing, report
 from ground_tools.campaign.encounters.cells import Cell, Row
 from ground_tools.campaign.encounters.judge import NMAC, WELL_CLEAR
-from tests.support.encounter_models import PUBLISHED, ROTORCRAFT, TINY, model_of
+from tests.support.encounter_models import NAMES, PUBLISHED, ROTORCRAFT, TINY, model_of
 
 TINY_RUN = ["campaign", "encounters", "--model", str(TINY), "--processes", "1"]
 
@@ -199,6 +199,36 @@ def test_results_of_another_model_are_not_mixed(capsys, tmp_path):
 def test_wrong_options(options, said, capsys):
     assert cli.main([*TINY_RUN, "--seeds", "1-1", *options]) != 0
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("own", cells.OWN)
+@pytest.mark.parametrize("altitude", cells.ALTITUDES)
+def test_every_own_speed_meets_every_altitude(own, altitude, capsys):
+    found = run(capsys, "--seeds", "1-6", "--own", own, "--altitude", altitude)
+    assert found["encounters"] == found["lowc_unavoided"] == 6
+    assert (found["deviation_max_m"] < 8.0) == (altitude == "unheard")
+
+
+@pytest.mark.parametrize("own", cells.OWN)
+def test_our_aircraft_flies_at_the_speed_that_is_asked_for(own, model):
+    one = cell(model, own=own)
+    flown, _ = cells.flown(one, cells.draw(one, model, 1), 1, avoids=False)
+    mean = np.linalg.norm(flown[-1] - flown[0]) / pairing.DURATION_S
+    assert mean == pytest.approx(0.0 if own == "hover" else float(own), abs=0.1)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("altitude", ["geometric", "barometric"])
+def test_every_published_model_is_met(name, altitude, capsys):
+    """Well clear's separations against the same seeds: fewer losses of it than without avoidance."""
+    model_of(name)  # or skip
+    path = str(PUBLISHED / f"{name}.txt")
+    options = ["--model", path, "--own", "5", "--altitude", altitude, "--separation", "610", "76"]
+    assert cli.main([*TINY_RUN[:2], *options, "--seeds", "1-15", "--processes", "1", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["encounters"], found["lowc_unavoided"]) == (15, 15)
+    assert found["lowc"] < 15
+    assert found["deviation_median_m"] > 50.0
 
 
 def test_a_published_model(capsys):
