@@ -15,6 +15,7 @@ from companion.authority.control import Control
 from companion.authority.plan import Plan, plan_of
 from companion.authority.readiness import Readiness
 from companion.authority.table import HOLDING, State
+from companion.autopilot.dialect import use
 from companion.broadcast.broadcaster import Broadcaster
 from companion.config import Config
 from companion.decider import Decider
@@ -46,6 +47,7 @@ from companion.events import (
     VelocitySetpoint,
 )
 from companion.geometry import LocalFrame
+from companion.laws import plugin_of
 from companion.ownship import Ownship
 from companion.traffic.adsb import AdsbTraffic
 from companion.traffic.tracks import Traffic
@@ -56,9 +58,14 @@ class Companion:
 
     Args:
         policy: content of the file that `config.atmc.policy` names; None if it could not be read.
+
+    Raises:
+        ConfigError: a plug-in that the configuration names cannot be used.
     """
 
     def __init__(self, config: Config, policy: bytes | None = None) -> None:
+        plugin_of(config.avoidance.law)
+        use(config.vehicle.dialect)
         self.config = config
         """Configuration in effect: the configured one with the ground station's settings applied."""
         self._configured = self._wanted = config
@@ -89,9 +96,14 @@ class Companion:
         """True while the vehicle flies our setpoints."""
         return self._control.in_control
 
+    @property
+    def law_fault(self) -> str | None:
+        """Why the decisions of the law must not be flown any longer, in words; None if they may be."""
+        return self._control.law_fault
+
     def waits_for(self, now_s: float) -> str | None:
         """Why the vehicle cannot be taken now, in words; None if it can."""
-        return self._readiness.waits_for(now_s, self._control.left_in)
+        return self.law_fault or self._readiness.waits_for(now_s, self._control.left_in)
 
     def step(self, now_s: float, events: Sequence[Event]) -> list[Command]:
         """Take in the events since the last step and return the commands to carry out now.

@@ -2,7 +2,7 @@
 
 An event record holds the input and the commands of the core. The same input must give the same commands, bit
 for bit if software and machine are the same. A tlog holds a vehicle's MAVLink. It is passed through the link
-and the core as if that vehicle flew now, but nothing is commanded.
+and the core as if that vehicle flew now, but nothing is commanded. An onboard log's events go to the core.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import dataclasses
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from typing import cast
 
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -25,6 +26,8 @@ from companion.core import Companion
 from companion.errors import PeerDataError
 from companion.event_record import Header, Record, Step
 from companion.events import (
+    AnyCommand,
+    AnyEvent,
     Broadcast,
     Command,
     GlobalPosition,
@@ -32,6 +35,7 @@ from companion.events import (
     Heartbeat,
     InputBehind,
     RadioState,
+    RemoteIdModule,
     SetMode,
     VelocitySetpoint,
 )
@@ -181,11 +185,12 @@ def _close(a: object, b: object, tolerance: float) -> bool:
 
 @dataclass(slots=True)
 class TlogReplay:
-    """Result of replaying a recorded vehicle's MAVLink through the core."""
+    """Result of replaying a recorded vehicle's MAVLink, or its onboard log, through the core."""
 
     vehicle: str | None = None
     duration_s: float = 0.0
     frames: int = 0
+    """Number of MAVLink frames, or of events of an onboard log."""
     gnss_states: int = 0
     """Number of GLOBAL_POSITION_INT messages taken in."""
     gnss_fixes: int = 0
@@ -240,6 +245,46 @@ def _fly_tlog(frames: Iterable[tuple[float, bytes]], result: TlogReplay) -> Iter
     vehicle = onboard.link.vehicle
     result.vehicle = None if vehicle is None else str(vehicle)
     result.counts = _flat(onboard.link.counts)
+
+
+def replay_steps(steps: Iterable[Step]) -> tuple[TlogReplay, Iterator[Location]]:
+    """Feed the events of an onboard log (`companion.flight_logs`) to the core. As `replay_tlog`."""
+    result = TlogReplay()
+    return result, _fly_steps(steps, result)
+
+
+def _fly_steps(steps: Iterable[Step], result: TlogReplay) -> Iterator[Location]:
+    core = Companion(Config(identity=IdentityConfig(uas_id="REPLAY")))
+    waiting: list[AnyEvent] = [RadioState(can_send=("wifi",))]
+    start_s: float | None = None
+    now_s = next_s = 0.0
+    for step in steps:
+        if start_s is None:
+            start_s, next_s = step.now_s, step.now_s + STEP_S
+        now_s = step.now_s
+        if now_s >= next_s:
+            next_s = now_s + STEP_S
+            yield from _take_step(core, now_s, waiting, result)
+        result.frames += len(step.events)
+        for event in step.events:
+            if isinstance(event, Heartbeat):
+                kind = f"MAV_TYPE {event.vehicle_type}"
+                result.vehicle = f"{event.firmware.value}, system {event.system_id}, {kind}"
+            if not isinstance(event, RemoteIdModule):
+                # The core would take it for a module that flies along, and broadcast nothing.
+                waiting.append(event)
+    if start_s is not None:
+        yield from _take_step(core, now_s, waiting, result)
+        result.duration_s = now_s - start_s
+
+
+def _take_step(
+    core: Companion, now_s: float, waiting: list[AnyEvent], result: TlogReplay
+) -> Iterator[Location]:
+    events = tuple(waiting)
+    waiting.clear()
+    commands = cast("tuple[AnyCommand, ...]", tuple(core.step(now_s, events)))
+    yield from _note([Step(now_s=now_s, events=events, commands=commands)], result)
 
 
 def _flat(counts: LinkCounts) -> dict[str, int]:

@@ -23,6 +23,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from tests.support import onboard_logs
+
 ROOT: Final = Path(__file__).parents[1]
 EXTRAS: Final = "inspect"
 SMALLER: Final = (
@@ -187,6 +189,9 @@ def install(folder: Path, extras: str) -> Place:
     away.mkdir()
     for name in ("orca_cases.json.gz", "vectors.json.gz"):
         shutil.copy(ROOT / "tests" / "data" / name, away / name.removeprefix("orca_"))
+    onboard_logs.copter(away / "00000042.BIN")
+    for name in ("flight.ulg", "drone1.ulg", "drone2.ulg"):
+        onboard_logs.px4(away / name)
     return Place(away, environment)
 
 

@@ -25,6 +25,7 @@ FORBIDDEN = {
 ROOMS = [
     "errors",
     "arrays",
+    "plugins",
     "address_forms",
     "toml_reader",
     "shipped",
@@ -48,6 +49,7 @@ ROOMS = [
     "decider",
     "core",
     "event_record",
+    "flight_logs",
     "system",
     "replay",
     "runtime",

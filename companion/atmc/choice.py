@@ -21,6 +21,8 @@ class Why(enum.Enum):
     """A value of the observation lies outside the range seen in training, or is not a number."""
     NO_NUMBER = "no_number"
     """The network returned a value that is not finite."""
+    BROKEN = "broken"
+    """The policy of a plug-in raised an exception, or chose what is not allowed."""
 
 
 @dataclass(frozen=True, slots=True)

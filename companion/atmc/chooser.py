@@ -19,11 +19,12 @@ from companion.arrays import Bools
 from companion.atmc.actions import TRANSPORTS, Action, able, legal, rates_of, transports_of
 from companion.atmc.choice import Mind, Refused
 from companion.atmc.observation import random_phase
+from companion.atmc.plugin_policy import plugin_policy
 from companion.atmc.policy import PolicyError, check_flyable, load
 from companion.atmc.rule import FIXED, FLYING_RULE, fixed
 from companion.atmc.senses import Senses
 from companion.broadcast.broadcaster import asked_rates
-from companion.config import CHOOSER_WORDS, Config
+from companion.config import CHOOSER_WORDS, Config, policy_plugin
 from companion.events import Command, RadioState, Say, Severity, TransportsChosen
 from companion.ownship import Ownship
 from companion.traffic.tracks import Traffic
@@ -166,12 +167,20 @@ def chooser_of(config: Config, policy: bytes | None) -> Chooser | None:
 
     Args:
         policy: content of the policy file; None if there is none, or if it could not be read.
+
+    Raises:
+        ConfigError: the policy is that of a plug-in that cannot be loaded.
     """
     wanted = config.atmc.policy
     if wanted in CHOOSER_WORDS:
         return Chooser(config, *((FLYING_RULE, "rule") if wanted == "rule" else (FIXED, "fixed")))
     if policy is None and wanted is None:
         return None
+    if policy_plugin(wanted) is not None:
+        try:
+            return Chooser(config, plugin_policy(wanted), "policy")
+        except PolicyError as error:
+            return Chooser(config, None, "policy", f"policy {error}")
     name = PurePath(wanted or "policy").name
     if policy is None:
         return Chooser(config, None, "policy", f"policy {name} could not be read")

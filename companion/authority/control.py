@@ -107,6 +107,12 @@ class Control:
         """Modes that the vehicle may be in because of our own commands after a fault ended our control."""
         return self._modes.left_in
 
+    @property
+    def law_fault(self) -> str | None:
+        """Why the decisions of the law must not be flown any longer; None if they may be."""
+        law = self._plan.course.law
+        return None if law is None else law.fault
+
     def note_sticks(self, event: RcChannels) -> None:
         """Take in the positions of the pilot's sticks."""
         self._sticks.note_channels(event)
@@ -155,7 +161,9 @@ class Control:
             self._watch(now_s, cycle, commands)
             return Step(commands)
         stands = unfit is None and self._standstill.lasts(now_s, self._own.mode)
-        return Step(commands, (0.0, 0.0, 0.0) if stands else None, alerts_only=unfit is None)
+        # A law that failed says nothing about the own state, so the pilot is still told of other aircraft.
+        fit = unfit is None or unfit == self.law_fault
+        return Step(commands, (0.0, 0.0, 0.0) if stands else None, alerts_only=fit)
 
     # ------------------------------------------------------------ parts of a step
 
@@ -165,6 +173,8 @@ class Control:
             return f"the control loop is late: no command sent for {_HUNG_S:g} s"
         if self._refused.fault is not None:
             return self._refused.fault
+        if self.law_fault is not None:
+            return self.law_fault
         unfit = self._own.unfit(now_s, self._config.vehicle.stale_after_s)
         if unfit is None and self.state in HOLDING and now_s - self._commanded_s > _HUNG_S:
             why = "the control loop is late, or the vehicle's mode is not known"
@@ -192,6 +202,9 @@ class Control:
         commands += self._guard.watch(self._own, now_s)
         self._result = result = cycle.decide(now_s, self.state)
         commands += cycle.note(now_s, result, self.state)
+        if self.law_fault is not None:
+            commands += self._move(now_s, {Trigger.UNFIT: None}, unfit=self.law_fault)
+            return
         guarded = self._own.landed(now_s) not in _NOT_GUARDED
         self._conflicts = self._conflicts + 1 if result.conflict and guarded else 0
         if self._conflicts >= _SURE:
@@ -236,6 +249,9 @@ class Control:
             self._handback.note_way(now_s)
         if result.conflict:
             self._conflict_s = now_s
+        if self.law_fault is not None:
+            commands += self._move(now_s, {Trigger.UNFIT: None}, unfit=self.law_fault)
+            return result
         triggers = self._law_triggers(now_s, result)
         if cycle.hold is not None and self._modes.confirmed:
             self._refused.traffic = cycle.hold
@@ -263,6 +279,7 @@ class Control:
             found[Trigger.REARM] = None
         standing_by = self.state is State.STANDBY and self._plan.ready and in_time
         ready = standing_by and self._readiness.waits_for(now_s, self._modes.left_in) is None
+        ready = ready and self.law_fault is None
         if ready and self._plan.near(own, now_s):
             watch = self._handback is not None and own.mode is FlightMode.MISSION
             found[Trigger.WATCH if watch else Trigger.READY] = None

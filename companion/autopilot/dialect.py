@@ -12,9 +12,11 @@ import importlib
 
 import msgspec
 
+from companion import plugins
 from companion.autopilot.dialects.definition import CUSTOM_MODE_ENABLED, HELICOPTER, Dialect
 from companion.config import FlightConfig
-from companion.events import Firmware, FlightMode, Heartbeat
+from companion.errors import ConfigError
+from companion.events import Firmware, FlightMode, Heartbeat, VehicleParameters
 
 ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED."""
@@ -41,6 +43,8 @@ DIALECTS: dict[Firmware, Dialect] = {
     for firmware in Firmware
 }
 """The dialect of each firmware, from the file of its name. `companion.events.Firmware` is the registry."""
+_OWN = dict(DIALECTS)
+"""Those that are not of a plug-in."""
 FIRMWARES = {dialect.autopilot: firmware for firmware, dialect in DIALECTS.items()}
 """MAV_AUTOPILOT values of the supported autopilots."""
 
@@ -60,6 +64,57 @@ _UNSUPPORTED = {
     46: "walking robot",
     **dict.fromkeys((19, 20, 21, 22, 23, 24, 25, 47), "VTOL"),
 }
+
+
+def use(plugin: str | None) -> None:
+    """Let the dialect of a plug-in take the place of that of the firmware that it names, in this process.
+
+    A vehicle of that firmware itself is then no longer known, because its modes would be misread. Every link
+    and every core calls this with its configuration.
+
+    Args:
+        plugin: name of the plug-in; None for the dialects of this project.
+
+    Raises:
+        ConfigError: the plug-in cannot be loaded, or brings no dialect that holds together.
+    """
+    wanted = dict(_OWN)
+    if plugin is not None:
+        try:
+            dialect = plugins.load(plugins.FIRMWARES, plugin).loaded
+            check_dialect(dialect)
+        except ConfigError as error:
+            raise ConfigError(f"vehicle.dialect: {error}") from error
+        wanted[dialect.firmware] = dialect
+    if wanted != DIALECTS:
+        DIALECTS.update(wanted)
+        FIRMWARES.clear()
+        FIRMWARES.update({dialect.autopilot: firmware for firmware, dialect in DIALECTS.items()})
+
+
+def check_dialect(dialect: object) -> None:
+    """Check that a dialect holds together.
+
+    Raises:
+        ConfigError: it is no `Dialect`, a commanded mode would not be read back as itself, a mode that the
+            companion needs is missing, or another firmware has its MAV_AUTOPILOT.
+    """
+    if not isinstance(dialect, Dialect):
+        raise ConfigError(f"{dialect!r:.80} is not a companion.autopilot.dialects.definition.Dialect")
+    for mode in (FlightMode.EXTERNAL, FlightMode.MISSION, FlightMode.HOLD):
+        command = dialect.commands.get(mode)
+        if command is None or dialect.modes.get(command.custom_mode) is not mode:
+            raise ConfigError(
+                f"{dialect.title}: mode {mode.value} is not commanded, or not read back as itself"
+            )
+    known = {field.name for field in msgspec.structs.fields(VehicleParameters)}
+    if unknown := [wanted.field for wanted in dialect.wanted if wanted.field not in known]:
+        raise ConfigError(
+            f"{dialect.title}: wanted parameter {unknown[0]!r} is no field of VehicleParameters"
+        )
+    for firmware, other in _OWN.items():
+        if firmware is not dialect.firmware and other.autopilot == dialect.autopilot:
+            raise ConfigError(f"{dialect.title}: MAV_AUTOPILOT {dialect.autopilot} is that of {other.title}")
 
 
 def refusal(firmware: Firmware, vehicle_type: int) -> str | None:

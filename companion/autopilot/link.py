@@ -40,6 +40,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot import encoders, remote_id
 from companion.autopilot.belief import Belief
 from companion.autopilot.counts import LinkCounts
+from companion.autopilot.dialect import use
 from companion.autopilot.heard_vehicle import HeardVehicle, Vehicle, from_autopilot
 from companion.autopilot.lists.downloads import Downloads
 from companion.autopilot.lists.list_download import FENCE, MISSION
@@ -120,6 +121,7 @@ class AutopilotLink:
                 f"vehicle.component_id: {COMPONENT_ID} is the Remote ID component's, which "
                 "remote_id.component = true takes: choose another, such as 191"
             )
+        use(config.dialect)
         self._scanner = FrameScanner()
         self.counts = LinkCounts(wire=self._scanner.counts)
         self.last_bad: str | None = None

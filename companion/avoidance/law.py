@@ -1,7 +1,7 @@
 """The avoidance law: own state, timed path and neighbours in, one velocity out (paper section II, "Decide").
 
 Three laws share one interface, the same limits and the same kernel (`companion.laws` lists them, and those
-that have a file of their own):
+that have a file of their own; `plugin_law` flies those of plug-ins):
 
 - "dmuca" is the default. The preferred velocity always leads back to the timed path and always passes through
   ORCA. Planes are built from the own velocity at the time of each neighbour's sample, so that both aircraft
@@ -34,7 +34,7 @@ from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.events import TrackView
 from companion.geometry import Vec3
-from companion.laws import LAWS
+from companion.laws import kind_of
 
 OLDEST_S = 15.0
 """Neighbours whose message is older than this are ignored."""
@@ -148,6 +148,10 @@ class Law:
     reads its result.
     """
 
+    fault: str | None = None
+    """Why its decisions must not be flown any longer, in words; None: they may be. Only the law of a plug-in
+    can fail."""
+
     def __init__(
         self,
         avoidance: AvoidanceConfig,
@@ -218,25 +222,32 @@ class Law:
         Raises:
             ValueError: the own state is not finite, or the ceiling lies below the floor.
         """
-        own = _own(situation)
+        own = own_of(situation)
         usable = self._take(situation.neighbours)
         chosen, wanted, solved, flags, (hard, first), state = k.decide_plain(
             self._table, len(usable), own, self._planned.arrays, self._fence, (*self._settings,),
             ((*self._state.command,), *self._state[1:]), self._history, (*self._work,),
         )  # fmt: skip
         self._state, self._solved, self._hard = k.State(k.Vector(*state[0]), *state[1:]), solved, hard
-        feasible, conflict, recovering, climbs, descends, at_fence = flags
-        fast = math.hypot(*solved) >= self._settings.speed_mps - k.ON_PLANE_MPS
-        reached = (climbs, descends, at_fence, first > hard, fast)
+        feasible, conflict, recovering, *bounds = flags
         return LawResult(
             wanted_ned_mps=wanted,
             chosen_ned_mps=chosen,
             feasible=feasible,
             conflict=conflict,
             recovering=recovering,
-            limits=tuple(compress(LIMITS, reached)),
+            limits=self._reached(solved, bounds, outside=first > hard),
             tracks=_views(usable, self._work.seen[: len(usable)]),
         )
+
+    def _reached(self, solved: Vec3, bounds: Sequence[bool], *, outside: bool) -> tuple[str, ...]:
+        """Names of the limits that bound a velocity.
+
+        Args:
+            bounds: whether the greatest climb, the greatest descent and a fence do.
+        """
+        fast = math.hypot(*solved) >= self._settings.speed_mps - k.ON_PLANE_MPS
+        return tuple(compress(LIMITS, (*bounds, outside, fast)))
 
     def _room(self, count: int) -> None:
         self._table = np.zeros((count, k.OTHER_COLUMNS))
@@ -280,7 +291,7 @@ def new_law(
     fence: Floats | None = None,
 ) -> Law:
     """The configured law at the start of a flight. Arguments are those of `Law`."""
-    law: Law = pkgutil.resolve_name(LAWS[avoidance.law].made_by)(avoidance, limits, trajectory, fence)
+    law: Law = pkgutil.resolve_name(kind_of(avoidance.law).made_by)(avoidance, limits, trajectory, fence)
     return law
 
 
@@ -332,12 +343,12 @@ def settings_of(avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Tr
         turn_s=max(turn, _LEAST_TURN_S),
         quiet=avoidance.n_noncollide,
         regained_m=avoidance.regained_m,
-        catch_up_s=CATCH_UP_S if LAWS[avoidance.law].avoids and not paper else 0.0,
+        catch_up_s=CATCH_UP_S if kind_of(avoidance.law).avoids and not paper else 0.0,
     )
     return k.Settings._make(map(float, settings))  # with an int, numba would compile anew in flight
 
 
-def _own(s: Situation) -> tuple[Vec3, Vec3, float, float, float, float, float]:
+def own_of(s: Situation) -> tuple[Vec3, Vec3, float, float, float, float, float]:
     """The own state as plain fields of `kernels.Own`. Raises ValueError if `Law.decide` has to."""
     n, e, d = map(float, s.position_ned_m)
     vn, ve, vd = map(float, s.velocity_ned_mps)

@@ -22,7 +22,7 @@ from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.link import AutopilotLink
 from companion.autopilot.polled.streams import ENOUGH, STREAM_RATES_HZ
 from companion.avoidance.path import check_path
-from companion.commands.check_containment import judge_containment, judge_mission
+from companion.commands.check_containment import judge_containment, judge_law, judge_mission
 from companion.commands.drip_keys import find_signing
 from companion.commands.preflight import Preflight
 from companion.config import EXAMPLE_ID, Config, check_identity
@@ -95,6 +95,7 @@ def check(config: Config, say: Callable[[str], None], *, as_json: bool = False) 
         find_signing,
         _settings,
         _kernels,
+        judge_law,
         _disk,
         _policy,
         _radios,

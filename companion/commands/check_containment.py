@@ -1,4 +1,4 @@
-"""What `companion check` says of the mission that is to be guarded, and of the containment."""
+"""What `companion check` says of the mission to be guarded, of the containment and of plug-ins."""
 
 from __future__ import annotations
 
@@ -9,22 +9,35 @@ from companion.autopilot.advice import too_fast
 from companion.autopilot.lists.mission import place_of
 from companion.commands.preflight import Preflight
 from companion.config import Config
+from companion.errors import ConfigError
 from companion.events import MissionDownloaded, MissionRefused, VehicleParameters
 from companion.geometry import LocalFrame
-from companion.laws import LAWS
+from companion.laws import kind_of
+from companion.runtime.plugins import judge_plugins
+
+
+def judge_law(config: Config, found: Preflight) -> None:
+    """Report whether the law of a plug-in works, if one is to fly."""
+    try:
+        lines = judge_plugins(config)
+    except ConfigError as error:
+        found.red("plug-in", str(error), "correct the plug-in, or name another one")
+        return
+    for line in lines:
+        found.green("plug-in", line.removeprefix("plug-in: "))
 
 
 def judge_containment(config: Config, found: Preflight) -> None:
     """Report how far and how long traffic without a signature can move the aircraft."""
     own = config.containment
-    if config.flight.use == "watch" or not LAWS[config.avoidance.law].avoids:
+    if config.flight.use == "watch" or not kind_of(config.avoidance.law).avoids:
         return
     side_m, above_m = crewed_reach_m(config)
     around = f"{own.side_m:g} m to the side, {own.below_m:g} m below and {own.above_m:g} m above the leg"
     found.green("containment", f"unproven traffic: {around}; {own.total_s:g} s, then {own.then}")
     around = f"{side_m:g} m to the side, {above_m:g} m above the leg, down to the floor"
     found.green("containment", f"crewed traffic: {around}; {own.crewed_total_s:g} s, then {own.crewed_then}")
-    if not LAWS[config.avoidance.law].keeps_fence:
+    if not kind_of(config.avoidance.law).keeps_fence:
         text = f'avoidance.law = "{config.avoidance.law}" keeps only its heights'
         found.yellow("containment", text, 'set avoidance.law = "dmuca"')
     if side_m < math.sqrt(2.0) * config.avoidance.crewed_horizontal_m:

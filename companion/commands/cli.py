@@ -26,8 +26,10 @@ _EXAMPLES = """examples:
   companion check --config companion.toml
   companion run --config companion.toml --dry-run
   companion status
+  companion display
   companion replay runs/20260101T000000Z-demo
   companion replay flight.tlog --json
+  companion replay 00000042.BIN
   companion remote-id listen --radio wifi=mon0
   companion remote-id decode < messages.hex
 """
@@ -69,6 +71,16 @@ def _parser(given: Sequence[str]) -> argparse.ArgumentParser:
     status.add_argument("--json", action="store_true", help="print the state once, as one JSON object")
     status.set_defaults(run=_status)
 
+    display = commands.add_parser(
+        "display",
+        help="serve a page that shows the traffic around a flying aircraft",
+        epilog="companion display; companion display --host 0.0.0.0 --token 'a long secret'",
+    )
+    if given and given[0] == "display":
+        from companion.commands import display as display_command
+
+        display_command.add_arguments(display)
+
     checked = commands.add_parser(
         "check",
         help="check that everything is ready for a flight; say what is missing and what to do",
@@ -80,10 +92,10 @@ def _parser(given: Sequence[str]) -> argparse.ArgumentParser:
 
     again = commands.add_parser(
         "replay",
-        help="run the core again on a recorded flight or a tlog",
+        help="run the core again on a recorded flight or a vehicle's log",
         epilog="companion replay runs/NAME",
     )
-    again.add_argument("path", type=Path, help="run folder, .events file or .tlog file")
+    again.add_argument("path", type=Path, help="run folder, or .events, .tlog, .bin or .ulg file")
     again.add_argument("--json", action="store_true", help="print one JSON object per line")
     again.set_defaults(run=_replay)
 
@@ -137,7 +149,7 @@ def _replay(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"{path}: no such file or folder")
     if path.suffix == ".events":
         return _replay_events(path, path.parent, as_json=arguments.json)
-    return _replay_tlog(path, as_json=arguments.json)
+    return _replay_log(path, as_json=arguments.json)
 
 
 def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
@@ -175,24 +187,35 @@ def _same_machine_and_software(manifest: Path) -> bool:
         return False
 
 
-def _replay_tlog(path: Path, *, as_json: bool) -> int:
+def _replay_log(path: Path, *, as_json: bool) -> int:
+    """Replay the log of a vehicle without a companion's record: telemetry, or what it logged on board."""
     from companion import replay
     from companion.autopilot.tlog import read_tlog
+    from companion.flight_logs import KINDS, About
 
     with path.open("rb") as stream:
-        result, locations = replay.replay_tlog(read_tlog(stream, str(path)))
+        head = stream.read(8)
+        stream.seek(0)
+        read_steps = next((reader for magic, reader in KINDS.items() if head.startswith(magic)), None)
+        if read_steps is None:
+            result, locations = replay.replay_tlog(read_tlog(stream, str(path)))
+        else:
+            result, locations = replay.replay_steps(read_steps(stream, str(path), About()))
         for location in locations:
             replay.on_air(location)
     if as_json:
         print(msgspec.json.encode(result).decode(), flush=True)
         return 0
-    print(f"{path}: {result.vehicle or 'no vehicle'}; {result.duration_s:.1f} s, {result.frames} frames")
+    unit = "frames" if read_steps is None else "events"
+    print(f"{path}: {result.vehicle or 'no vehicle'}; {result.duration_s:.1f} s, {result.frames} {unit}")
+    print("  the log has no companion's record, so no commands are compared: its vehicle was flown again")
     print(f"  GNSS states {result.gnss_states} (GPS_RAW_INT {result.gnss_fixes})")
     for name, where in (("first", result.first), ("last", result.last)):
         if where is not None:
             print(f"  {name} position {where[0]:.7f} {where[1]:.7f}, {where[2]:.2f} m above mean sea level")
     print(f"  Remote ID broadcasts {result.broadcasts}, {result.locations_with_position} with a position")
-    print("  " + ", ".join(f"{key} {value}" for key, value in result.counts.items()))
+    if result.counts:
+        print("  " + ", ".join(f"{key} {value}" for key, value in result.counts.items()))
     return 0
 
 

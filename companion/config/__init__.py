@@ -25,6 +25,8 @@ from companion.config.sections import (
     TrajectoryFile,
     VehicleConfig,
     Waypoint,
+    names_file,
+    policy_plugin,
 )
 
 __all__ = [
@@ -49,5 +51,7 @@ __all__ = [
     "dump",
     "load",
     "load_trajectory",
+    "names_file",
+    "policy_plugin",
     "public",
 ]

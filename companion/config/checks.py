@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from companion import plugins
 from companion.address_forms import LINK_FORMS, check_form
 from companion.config.identity_checks import check_identity
-from companion.config.sections import Config
+from companion.config.sections import Config, policy_plugin
 from companion.errors import ConfigError
 from companion.geofence import check_areas
-from companion.laws import LAWS
+from companion.laws import LAWS, kind_of, plugin_of
 from companion.radio.null.section import NullRadio
 from companion.radio.registry import RadioConfig
 from companion.remote_id.drip.trust import Trust
@@ -30,10 +31,20 @@ def check(config: Config, name: str) -> None:
         check_identity(config.identity, config.remote_id, config.region)
     except ValueError as error:
         raise ConfigError(f"{name}: {error}") from error
+    try:
+        plugin_of(config.avoidance.law)
+    except ConfigError as error:
+        raise ConfigError(f"{name}: avoidance.law: {error}") from error
+    policy = policy_plugin(config.atmc.policy)
+    if policy is not None:
+        try:
+            plugins.load(plugins.POLICIES, policy)
+        except ConfigError as error:
+            raise ConfigError(f"{name}: atmc.policy: {error}") from error
     _check_flight(config, name)
     _check_limits(config, name)
     use = config.flight.use
-    if use != "watch" and not config.has_radio and LAWS[config.avoidance.law].avoids:
+    if use != "watch" and not config.has_radio and kind_of(config.avoidance.law).avoids:
         otherwise = ', or avoidance.law = "none"' if use == "fly" else ""
         raise ConfigError(
             f"{name}: radio: none configured, so no aircraft is heard; "
@@ -53,7 +64,7 @@ def check(config: Config, name: str) -> None:
 
 def _check_flight(config: Config, name: str) -> None:
     """Check that what is to be flown is given, and that a guarding law avoids."""
-    flight, law = config.flight, LAWS[config.avoidance.law]
+    flight, law = config.flight, kind_of(config.avoidance.law)
     if flight.use == "guard" and (flight.trajectory is not None or config.path is not None):
         raise ConfigError(
             f'{name}: flight.trajectory: remove it; use = "guard" guards the mission that the vehicle flies'
@@ -80,7 +91,7 @@ def _check_flight(config: Config, name: str) -> None:
 def _check_limits(config: Config, name: str) -> None:
     """Check the fence, the floor and the ceiling."""
     limits = config.limits
-    if limits.fence is not None and not LAWS[config.avoidance.law].keeps_fence:
+    if limits.fence is not None and not kind_of(config.avoidance.law).keeps_fence:
         keeping = " or ".join(f'"{key}"' for key, kind in LAWS.items() if kind.keeps_fence)
         raise ConfigError(
             f"{name}: limits.fence: needs avoidance.law = {keeping}; {config.avoidance.law!r} keeps no fence"

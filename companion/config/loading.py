@@ -12,7 +12,7 @@ import msgspec
 import tomli_w
 
 from companion.config.checks import check
-from companion.config.sections import CHOOSER_WORDS, Config, IdentityConfig, SigningConfig, TrajectoryFile
+from companion.config.sections import Config, IdentityConfig, SigningConfig, TrajectoryFile, names_file
 from companion.errors import ConfigError, PeerDataError
 from companion.geofence import load_fence
 from companion.remote_id.drip.keys import public_key_hex
@@ -51,7 +51,7 @@ def load(path: Path) -> Config:
         config = msgspec.structs.replace(config, fence=_beside(path, "limits.fence", fence, load_fence))
     if config.remote_id.region is not None:
         config = _with_region(config, config.remote_id.region, path)
-    if config.atmc.policy is not None and config.atmc.policy not in CHOOSER_WORDS:
+    if config.atmc.policy is not None and names_file(config.atmc.policy):
         # Not read here: a policy that cannot be read is no configuration error, the companion then flies with
         # a fixed set of transports.
         where = str(named(config.atmc.policy, "policies", ".safetensors", path.parent).absolute())

@@ -12,7 +12,6 @@ import msgspec
 from msgspec import Meta
 
 from companion.events import FenceArea
-from companion.laws import LawName
 from companion.radio.null.section import NullRadio
 from companion.radio.registry import RadioConfig
 from companion.remote_id.messages import IdType, UaType
@@ -24,6 +23,18 @@ EXAMPLE_ID = "1596B0000DMUCA01"
 CHOOSER_WORDS = ("rule", "fixed")
 """Values of `atmc.policy` other than a path: "rule" is the one-line rule, "fixed" the best fixed legal
 set."""
+_PLUGIN = "plugin:"
+"""What a value of `atmc.policy` begins with that names a plug-in."""
+
+
+def policy_plugin(policy: str | None) -> str | None:
+    """Name of the plug-in that a value of `atmc.policy` means, as in "plugin:mine"; None: it means none."""
+    return policy.removeprefix(_PLUGIN) if policy is not None and policy.startswith(_PLUGIN) else None
+
+
+def names_file(policy: str | None) -> bool:
+    """Whether a value of `atmc.policy` means a file."""
+    return policy is not None and policy not in CHOOSER_WORDS and policy_plugin(policy) is None
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -38,6 +49,9 @@ class VehicleConfig(_Section, frozen=True):
     system_id: Annotated[int, Meta(ge=0, le=255)] = 0
     """MAVLink system ID of our vehicle. 0: the only autopilot on the link; if there are two, none is used."""
     component_id: Annotated[int, Meta(ge=1, le=255)] = 191
+    dialect: Annotated[str, Meta(min_length=1)] | None = None
+    """Name of a plug-in whose dialect takes the place of the firmware that it resembles; None: ArduPilot and
+    PX4 as they are."""
     wait_s: Annotated[float, Meta(gt=0, le=600)] = 10.0
     """How long to wait for the vehicle's first heartbeat."""
     stale_after_s: Annotated[float, Meta(ge=0.2, le=5)] = 1.0
@@ -118,7 +132,8 @@ class AvoidanceConfig(_Section, frozen=True):
     """The avoidance law. The defaults are those of the reference flight tests; "paper" is exactly the
     published law."""
 
-    law: LawName = "dmuca"
+    law: Annotated[str, Meta(min_length=1)] = "dmuca"
+    """A key of `companion.laws.LAWS`, or the name of a plug-in."""
     conflict_radius_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
     """Radius of one aircraft. The separation of two aircraft must be at least twice this radius."""
     crewed_horizontal_m: Annotated[float, Meta(gt=0, le=5000)] = 150.0
@@ -240,7 +255,7 @@ class AtmcConfig(_Section, frozen=True):
 
     policy: Annotated[str, Meta(min_length=1)] | None = None
     """Path of a policy file (relative to this file; absolute once loaded), name of a policy that comes with
-    the software (`atmc`), or one of `CHOOSER_WORDS`."""
+    the software (`atmc`), "plugin:NAME" for that of a plug-in, or one of `CHOOSER_WORDS`."""
     agent: Annotated[int, Meta(ge=0, le=99)] | None = None
     """Which network of the policy flies, if it holds one for each aircraft of its training."""
     period_s: Annotated[float, Meta(ge=0.5, le=60)] = 2.0

@@ -41,6 +41,7 @@ from companion.runtime.drip_key import open_signer
 from companion.runtime.lateness import Lateness, scheduling
 from companion.runtime.links.kept_link import KeptLink
 from companion.runtime.links.no_vehicle import no_vehicle
+from companion.runtime.plugins import judge_plugins
 from companion.runtime.policy import read_policy
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
@@ -99,6 +100,8 @@ class Flight:
                 "dry run: nothing is broadcast and nothing is commanded; the autopilot is only asked for "
                 "telemetry, its mission and its fence"
             )
+        for line in judge_plugins(config):
+            self._say(line)
         self._open(config, dry_run=dry_run)
         self._policy = self._read_policy(config)
         settings = self._read_settings(config)

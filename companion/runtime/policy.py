@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from companion.atmc.actions import legal
+from companion.atmc.plugin_policy import plugin_policy, try_out
 from companion.atmc.policy import MAX_BYTES, check_flyable, load
-from companion.config import CHOOSER_WORDS, Config
+from companion.config import CHOOSER_WORDS, Config, names_file
 from companion.errors import ConfigError
 
 RUN_FILE = "policy.safetensors"
@@ -20,7 +21,7 @@ def read_policy(config: Config) -> bytes | None:
         ConfigError: the file cannot be read.
     """
     where = config.atmc.policy
-    if where is None or where in CHOOSER_WORDS:
+    if where is None or not names_file(where):
         return None
     try:
         with Path(where).open("rb") as file:
@@ -48,6 +49,13 @@ def judge_policy(config: Config) -> list[str]:
         f"atmc: {name} repeats messages at its own rates; the choice affects other radios only"
         for name in own
     ]
+    plugged = plugin_policy(where)
+    if plugged is not None:
+        allowed = try_out(plugged, config.region)
+        text = (
+            f"atmc: transports are chosen by the policy {plugged.plugin}; {allowed} of {len(plugged.actions)}"
+        )
+        return [f"{text} actions are legal in region {config.region.name}", *lines]
     data = read_policy(config)
     if data is None:
         return [f'atmc: transports are chosen by the built-in policy "{where}"', *lines]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -29,6 +29,7 @@ from ground_tools.campaign.scenarios import files, layouts, missions
 from ground_tools.campaign.scenarios.surroundings import CREWED_MPS, crewed_ways, fence_beside
 from ground_tools.campaign.world import World
 from ground_tools.common.kept_lines import Kept
+from ground_tools.common.plugin_state import state_of
 from ground_tools.results import sources
 
 Law = Literal["dmuca", "paper", "none"]
@@ -202,8 +203,10 @@ def look(cell: Cell, seed: int) -> Look:
     """Fly one encounter and record everything. The flight is identical to the one that `fly` flies.
 
     Raises:
-        ConfigError: the generator cannot draw the encounter.
+        ConfigError: the generator cannot draw the encounter, or the law is that of a plug-in.
     """
+    if flown_by(cell).plugin is not None:
+        raise ConfigError(f"law {cell.law}: the flights of a plug-in's law are not recorded in a campaign")
     return _fly(cell, seed, looked=True)
 
 
@@ -245,9 +248,9 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     pairs, result = np.zeros((n, n, outcome.PAIR_ENTRIES)), np.zeros(outcome.FLIGHT_ENTRIES)
     rng, power_rng = np.random.default_rng([seed, 7]), np.random.default_rng([seed, 9])
     measured = powers.unmeasured(power_rng, conditions, n)
-    if cell.twins:
+    if cell.twins or law_flown.plugin is not None:
         laws = [
-            law.Law(avoidance if kind == vehicles.AVOIDS else LAWS["none"], own, path, fence)
+            law.new_law(avoidance if kind == vehicles.AVOIDS else LAWS["none"], own, path, fence)
             for kind, own, path in zip(kinds.tolist(), limits, paths, strict=True)
         ]
         twin_flight.fly(rng, conditions, times, points, fence, settings, kinds, laws, pairs, result)
@@ -294,6 +297,10 @@ def flown_by(cell: Cell) -> Flown:
         ConfigError: there is no such law, or it cannot fly this cell.
     """
     found = flown.flown_by(cell.law, dict(LAWS.items()))
+    if found.plugin is not None:
+        dark = WORLDS[cell.world].blackout_s > 0.0
+        twin_flight.check(cell.law, cell.intruder if cell.intruders else None, cell.signal, dark)
+        return found
     crewed = found.planned and cell.intruders > 0.0 and cell.intruder in ("crewed", "barometric")
     if found.planned and (cell.world != "calm" or crewed):
         what = f"--intruder {cell.intruder}" if crewed else f"--world {cell.world}"
@@ -374,16 +381,17 @@ def software(
     return sources.digest([FLIGHT, *also, *ENCOUNTERS])
 
 
-def software_of(cells: Iterable[Cell]) -> str:
+def software_of(cells: Sequence[Cell]) -> str:
     """`software`, as far as the flights of these cells depend on it."""
-    cells = tuple(cells)
-    return software(
-        twins=any(cell.twins for cell in cells),
+    plugged = sorted({state_of(p) for cell in cells if (p := flown_by(cell).plugin) is not None})
+    state = software(
+        twins=bool(plugged) or any(cell.twins for cell in cells),
         peers=any(cell.law not in LAWS and cell.law != omniscient.NAME for cell in cells),
         planned=any(cell.law == omniscient.NAME for cell in cells),
         scenarios=any(cell.on_missions or cell.generator in layouts.SCENARIOS for cell in cells),
         others=any(cell.generator.startswith(files.PREFIX) for cell in cells),
     )
+    return "-".join([state, *plugged])
 
 
 def baseline(cell: Cell) -> Cell:

@@ -116,8 +116,8 @@ def _add_run(command: argparse.ArgumentParser) -> None:
         default="dmuca",
         metavar="NAME",
         help="avoidance law: ours (dmuca), the paper's (paper), none, or another one: "
-        f"{', '.join(PEERS)}; parameters of its own as in {_LAW_EXAMPLE}; or {OMNISCIENT}, which knows "
-        "everybody's future (default: dmuca)",
+        f"{', '.join(PEERS)}, or a plug-in's; parameters of its own as in {_LAW_EXAMPLE}; or {OMNISCIENT}, "
+        "which knows everybody's future (default: dmuca)",
     )
     command.add_argument(
         "--speed", type=float, default=5.0, metavar="M/S", help="greatest speed (default: 5)"
@@ -180,7 +180,7 @@ def run(args: argparse.Namespace) -> int:
     meaning = campaign.flown_by(cell)
     _check_worst(args)
     _check_combined(args, cell)
-    if args.worst and (meaning.peer or meaning.changed):
+    if args.worst and (meaning.peer or meaning.changed or meaning.plugin):
         raise ConfigError(
             f"--worst cannot be combined with --law {cell.law}: a run folder holds the configuration of a "
             f"companion, which knows {', '.join(campaign.LAWS)}"

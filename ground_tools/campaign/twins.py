@@ -1,4 +1,6 @@
-"""Flights in which two aircraft send one identity, with the companion's track code in the campaign's world.
+"""Flights in which two aircraft send one identity, and flights by the law of a plug-in.
+
+They use the companion's track code in the campaign's world.
 
 Vehicles, errors, messages and their delays come from `vehicles`, draw for draw. Here each aircraft receives
 frames (Basic ID and Location, from a radio address) with the companion's `Traffic` and decides with its
@@ -16,11 +18,13 @@ import numpy as np
 from companion.arrays import Floats
 from companion.avoidance.law import ASIDE, Law, LawResult, Situation
 from companion.config import TrafficConfig
+from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
 from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.traffic.tracks import Traffic
 from ground_tools.campaign import outcome, vehicles
+from ground_tools.campaign.scenarios import missions
 from ground_tools.campaign.world import Conditions
 from ground_tools.inspect.read.truth import ORIGIN
 
@@ -47,6 +51,9 @@ def fly(
         world: a world without a loss of GNSS.
         kinds: shape (A,): `vehicles.AVOIDS`, `vehicles.BLIND`, or one of `vehicles.TWINS`.
         laws: law of each aircraft; the law "none" for an aircraft that does not avoid.
+
+    Raises:
+        ConfigError: the law of a plug-in failed.
     """
     fleet = len(kinds)
     craft, tally = vehicles.on_the_ground(fleet, world), outcome.nothing_yet(fleet, pairs, result)
@@ -72,6 +79,8 @@ def fly(
                 if kinds[i] == vehicles.AVOIDS:
                     core.hear(air.heard(i, now, craft.arrival[i]), now, clocks[i])
                 decided = core.decide(world, now, places[i], velocities[i])
+                if core.law.fault is not None:
+                    raise ConfigError(f"aircraft {i} at {now:.1f} s: {core.law.fault}")
                 craft.command[i] = decided.chosen_ned_mps
                 late[i] = core.law.late_s
                 if kinds[i] == vehicles.AVOIDS:
@@ -86,6 +95,24 @@ def fly(
         )
 
     outcome.land(kinds, late, tally, pairs, result)
+
+
+def check(law: str, intruder: str | None, signal: bool, dark: bool) -> None:
+    """Check that the law of a plug-in can fly an encounter.
+
+    Args:
+        intruder: kind of the intruders; None: there are none.
+        signal, dark: whether signal strength is weighed, and whether aircraft lose their GNSS.
+
+    Raises:
+        ConfigError: it cannot.
+    """
+    known = ("blind", *vehicles.TWINS, *missions.MISSIONS)
+    if signal or dark or (intruder is not None and intruder not in known):
+        raise ConfigError(
+            f"--law {law}: the law of a plug-in cannot be combined with --signal, --world blackout, or "
+            f"intruders other than {', '.join(known)}"
+        )
 
 
 class Core:

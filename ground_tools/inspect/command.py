@@ -1,6 +1,7 @@
 """`ground-tools inspect RUN...`: shows runs as Rerun recordings, an HTML page, or figures (text or JSON).
 
-A run is a run folder, an event record, or the telemetry log (.tlog) of any MAVLink vehicle.
+A run is a run folder, an event record, or the log of any vehicle: of its telemetry (.tlog), or the one that
+ArduPilot (.bin) or PX4 (.ulg) writes on board.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Show what a run contains: paths, received traffic, predictions, decisions and Remote ID."
     )
     parser.epilog = EXAMPLE
-    parser.add_argument("run_folder", nargs="+", type=Path, metavar="RUN", help="run folder or .tlog file")
+    parser.add_argument(
+        "run_folder", nargs="+", type=Path, metavar="RUN", help="run folder, or .tlog, .bin or .ulg file"
+    )
     several = parser.add_mutually_exclusive_group()
     several.add_argument(
         "--together",

@@ -18,8 +18,9 @@ from companion.arrays import AnyFloats, Bools
 from companion.atmc import policy_file
 from companion.atmc.actions import SET_ACTIONS, Action, legal
 from companion.atmc.choice import Choice, Refused, Why
+from companion.atmc.plugin_policy import plugin_policy, try_out
 from companion.atmc.policy import load
-from companion.config import Config, IdentityConfig
+from companion.config import Config, IdentityConfig, names_file
 from companion.errors import ConfigError
 from companion.event_record import Record, Step
 from companion.events import BroadcastChanged, TransportsChosen
@@ -37,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that select the policy and the region."""
     parser.add_argument(
         "--policy",
-        metavar=f"FILE|{'|'.join(POLICY_WORDS)}",
+        metavar=f"FILE|{'|'.join(POLICY_WORDS)}|plugin:NAME",
         help="what chooses each aircraft's transports in flight (default: they stay fixed)",
     )
     parser.add_argument(
@@ -53,7 +54,8 @@ def with_options(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
     """
     policy, region = arguments.policy, arguments.region
     if policy is not None:
-        where = policy if policy in POLICY_WORDS else str(given(policy).absolute())
+        file = names_file(policy) and policy not in POLICY_WORDS
+        where = str(given(policy).absolute()) if file else policy
         atmc = msgspec.structs.replace(scenario.atmc, policy=where)
         scenario = msgspec.structs.replace(scenario, atmc=atmc)
     if region is not None:
@@ -72,7 +74,10 @@ def read_policy(scenario: Scenario) -> bytes | None:
             region.
     """
     where = scenario.atmc.policy
-    if where is None or where in POLICY_WORDS:
+    plugged = plugin_policy(where)
+    if plugged is not None:
+        try_out(plugged, scenario.region)
+    if where is None or where in POLICY_WORDS or plugged is not None:
         return None
     data = read_file(Config(identity=IdentityConfig(uas_id="any"), atmc=scenario.atmc))
     assert data is not None

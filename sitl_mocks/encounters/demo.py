@@ -22,8 +22,10 @@ from rich.console import Console
 from rich.progress import Progress
 
 from companion import __version__, event_record
+from companion.avoidance.plugin_law import try_out
 from companion.config import Config
 from companion.errors import ConfigError
+from companion.laws import LAWS, plugin_of
 from companion.runtime.record.recorder import EventFile, create_run_folder, write_json, write_manifest
 from companion.runtime.warm import warm_up
 from companion.shipped import given
@@ -70,7 +72,9 @@ def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
         help="bounds of the message delay (s); only for channel model interval",
     )
     parser.add_argument(
-        "--law", choices=("dmuca", "paper", "none"), help="avoidance law (default: the one in the scenario)"
+        "--law",
+        metavar="NAME",
+        help=f"avoidance law: {', '.join(LAWS)}, or that of a plug-in (default: the one in the scenario)",
     )
     choosing.add_arguments(parser)
 
@@ -87,6 +91,8 @@ def run(arguments: argparse.Namespace) -> int:
     seconds = warm_up()
     if seconds > 1.0:
         console.print(f"Compiled the avoidance kernels in {seconds:.1f} s (cached for later runs).")
+    if plugin_of(scenario.avoidance.law) is not None:
+        try_out(scenario.avoidance, scenario.limits)
     if arguments.seeds is not None:
         return _many(scenario, policy, _parse_seeds(arguments.seeds), console, as_json=arguments.json)
     folder = create_run_folder(arguments.runs, "demo", time.time())
@@ -138,6 +144,10 @@ def scenario_of(arguments: argparse.Namespace) -> Scenario:
     if arguments.law is not None:
         avoidance = msgspec.structs.replace(scenario.avoidance, law=arguments.law)
         scenario = msgspec.structs.replace(scenario, avoidance=avoidance)
+        try:
+            plugin_of(arguments.law)
+        except ConfigError as error:
+            raise ConfigError(f"--law: {error}") from error
     return choosing.with_options(scenario, arguments)
 
 
@@ -232,6 +242,7 @@ def _fly_one(
         air=[{"sender": a, "receiver": b, **stats.to_dict()} for (a, b), stats in result.air.items()],
         messages={"sent": sent, "delivered": sum(p.delivered for p in result.air.values())},
         chosen=result.chosen,
+        faults=result.faults,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
 from rich.console import Console
@@ -31,6 +31,8 @@ class Outcome:
     messages: dict[str, int]
     chosen: dict[str, Chosen]
     """Transports that each aircraft used, by name."""
+    faults: dict[str, str] = field(default_factory=dict)
+    """Why the law of an aircraft failed, by its name."""
 
     @property
     def min_separation_m(self) -> float:
@@ -65,6 +67,7 @@ class Verdict:
             found.append(
                 f"{len(near)} of {len(self.avoided.pairs)} pairs came within {self.limit_m:g} m of each other"
             )
+        found += [f"{name}: {fault}" for name, fault in self.avoided.faults.items()]
         deviations, on_path = self.avoided.deviations, on_path_limit_m(self.scenario)
         away = [d.final_m for d in deviations if d.final_m > on_path]
         if away:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import msgspec
@@ -75,6 +75,8 @@ class Run:
     """Path time of every tick."""
     chosen: dict[str, Chosen]
     """Transports that each aircraft used, by name."""
+    faults: dict[str, str] = field(default_factory=dict)
+    """Why the law of an aircraft failed, by its name, for those whose law did."""
 
 
 class Aircraft:
@@ -94,6 +96,8 @@ class Aircraft:
         self.name = name
         self.config = config
         self.chosen = Chosen()
+        self.law_fault: str | None = None
+        """Why its law failed, in words; None if it did not."""
         self._record = record
         self.vehicle = MockVehicle(options, rng)
         self.onboard = CompanionSystem(
@@ -112,6 +116,7 @@ class Aircraft:
     def _take(self, step: Step) -> None:
         """Process one step of the companion core."""
         self.chosen.add_step(step)
+        self.law_fault = self.law_fault or self.onboard.core.law_fault
         if self._record is not None:
             self._record(step)
 
@@ -261,7 +266,8 @@ def fly(
         aircraft.chosen.end((ticks - 1) * TICK_S)
     flown = [Flown(a.name, truth[number]) for number, a in enumerate(fleet)]
     time_s = np.arange(ticks, dtype=np.float64) * TICK_S - SETTLE_S
-    return Run(flown, ether.stats, time_s, {a.name: a.chosen for a in fleet})
+    faults = {a.name: a.law_fault for a in fleet if a.law_fault is not None}
+    return Run(flown, ether.stats, time_s, {a.name: a.chosen for a in fleet}, faults)
 
 
 def _aircraft(

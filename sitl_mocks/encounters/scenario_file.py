@@ -13,8 +13,9 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from companion.config import CHOOSER_WORDS, AtmcConfig, AvoidanceConfig, LimitsConfig
+from companion.config import CHOOSER_WORDS, AtmcConfig, AvoidanceConfig, LimitsConfig, names_file
 from companion.errors import ConfigError
+from companion.laws import plugin_of
 from companion.remote_id.region import Region
 from companion.shipped import named
 from companion.toml_reader import decode_toml
@@ -99,6 +100,10 @@ def load(path: Path) -> Scenario:
                 raise ConfigError(f"{path}: path[{number}].points: time {b[0]:g} s is not after {a[0]:g} s")
             if not all(math.isfinite(v) for v in b):
                 raise ConfigError(f"{path}: path[{number}].points: {b} contains a value that is not finite")
+    try:
+        plugin_of(scenario.avoidance.law)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: avoidance.law: {error}") from error
     return _with_policy(_with_region(_with_parameters(scenario, path), path), path)
 
 
@@ -129,7 +134,7 @@ def _with_region(scenario: Scenario, path: Path) -> Scenario:
 def _with_policy(scenario: Scenario, path: Path) -> Scenario:
     """Return the scenario with the absolute path of its policy."""
     name = scenario.atmc.policy
-    if name is None or name in POLICY_WORDS:
+    if not names_file(name) or name is None or name == RANDOM:
         return scenario
     atmc = msgspec.structs.replace(
         scenario.atmc, policy=str(named(name, "policies", ".safetensors", path.parent).absolute())

@@ -19,7 +19,7 @@ from companion.avoidance import kernels as k
 from companion.avoidance.law import Law
 from companion.config import Config
 from companion.geometry import Vec3
-from companion.laws import LAWS
+from companion.laws import kind_of
 from companion.ownship import Ownship
 
 CEILING_M = 120.0
@@ -75,7 +75,7 @@ class Containment:
         self._limits = config.limits
         self._config = config.containment
         self._crewed_side_m, self._crewed_above_m = crewed_reach_m(config)
-        self._encloses = LAWS[config.avoidance.law].keeps_fence
+        self._encloses = kind_of(config.avoidance.law).keeps_fence
 
     def let_go(self) -> None:
         """Note that the aircraft is not held: the volume ends."""

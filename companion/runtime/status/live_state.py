@@ -17,6 +17,9 @@ from companion.events import Decision
 from companion.geometry import Vec3
 from companion.runtime.status.status_socket import MOST_TRACKS, TrackStatus
 
+_HOVERS_MPS = 0.3
+"""Below this speed a direction of flight has no meaning: Remote ID's speeds have steps of 0.25 m/s."""
+
 
 def core_status(core: Companion, now_s: float, decision: Decision | None) -> dict[str, Any]:
     """The fields of `status_socket.Status` that come from the core.
@@ -48,6 +51,9 @@ def core_status(core: Companion, now_s: float, decision: Decision | None) -> dic
         "gnss_fix_type": None if fix is None else fix.fix_type,
         "sigma_m": own.sigma_m,
         "remote_id_trouble": core.broadcaster.trouble or core.broadcaster.lacking,
+        "wanted_ned_mps": None if decision is None else decision.wanted_ned_mps,
+        "chosen_ned_mps": None if decision is None else decision.chosen_ned_mps,
+        "limits": () if decision is None else decision.limits,
         "path_late_s": 0.0 if core.plan.course.law is None else core.plan.course.late_s,
         "track_count": len(tracks),
         "tracks": tuple(sorted(tracks, key=lambda t: t.distance_m)[:MOST_TRACKS]),
@@ -76,10 +82,14 @@ def _track(
     key = (other.adsb, other.track_id)
     p, v, age = other.position_ned_m, other.velocity_ned_mps, other.age_s
     transport, doubts = ("adsb", ()) if other.adsb else names[other.track_id.partition(ASIDE)[0]]
+    north, east = p[0] + age * v[0] - own[0], p[1] + age * v[1] - own[1]
+    hovers = math.hypot(v[0], v[1]) < _HOVERS_MPS
     return TrackStatus(
         track_id=other.track_id,
         transport=transport,
-        distance_m=math.hypot(p[0] + age * v[0] - own[0], p[1] + age * v[1] - own[1]),
+        distance_m=math.hypot(north, east),
+        bearing_deg=math.degrees(math.atan2(east, north)) % 360.0,
+        track_deg=None if hovers else math.degrees(math.atan2(v[1], v[0])) % 360.0,
         above_m=own[2] - (p[2] + age * v[2]) if other.vertical_known else None,
         speed_mps=math.hypot(v[0], v[1]),
         age_s=age,

@@ -47,6 +47,10 @@ class TrackStatus(msgspec.Struct, frozen=True, kw_only=True):
     """Whether the law avoided this aircraft at its last decision."""
     doubts: tuple[str, ...] = ()
     """Names of the flags that make its messages doubtful."""
+    bearing_deg: float | None = None
+    """Direction from our aircraft to it, clockwise from true north."""
+    track_deg: float | None = None
+    """Direction in which it flies; None if it hovers."""
 
 
 class Status(msgspec.Struct, frozen=True, kw_only=True):
@@ -104,6 +108,12 @@ class Status(msgspec.Struct, frozen=True, kw_only=True):
     """Current troubles that do not end the flight, mostly of the disk."""
     said: tuple[str, ...]
     """Latest console lines, the newest at the end."""
+    wanted_ned_mps: tuple[float, float, float] | None = None
+    """Velocity along the path at the law's latest decision; None while we do not fly the vehicle."""
+    chosen_ned_mps: tuple[float, float, float] | None = None
+    """Velocity that is commanded; None while we do not fly the vehicle."""
+    limits: tuple[str, ...] = ()
+    """Limits that bound it, other than other aircraft."""
 
 
 def folders(environ: Mapping[str, str]) -> list[Path]:

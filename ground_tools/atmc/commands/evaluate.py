@@ -18,9 +18,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from companion.arrays import Floats
 from companion.atmc import policy_file
 from companion.atmc.actions import PAPER_ACTIONS, SET_ACTIONS, Action, legal
+from companion.atmc.choice import Mind
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
+from companion.atmc.plugin_policy import PluginPolicy
 from companion.atmc.policy import Metadata, Policy, load
 from companion.atmc.rule import BLE4_RANGE_M, FLYING_FAR, FLYING_NEAR, PAPER_FAR, PAPER_NEAR
 from companion.errors import ConfigError
@@ -28,6 +31,7 @@ from ground_tools.atmc.env.channel import TorchChannel
 from ground_tools.atmc.env.deciders import Decider, Fixed, Rule, settle
 from ground_tools.atmc.env.environment import Env, EnvSettings, Observation
 from ground_tools.atmc.env.objective import AwarenessObjective, Objective, PaperObjective, costs
+from ground_tools.atmc.env.plugged import Plugged
 from ground_tools.atmc.env.search import search
 from ground_tools.atmc.env.tasks import AWARENESS_CHANNEL, REGIONS, ObjectiveName, RegionName
 from ground_tools.atmc.env.world import SIDES_M, WorldSettings
@@ -115,11 +119,67 @@ def evaluate(data: bytes, name: str, question: Question) -> dict[str, float | in
             f"--region: {question.region}: none of the policy's actions is legal in this region"
         )
     fleet = Frozen(data, name, allowed)
+    found = _measured(question, fleet, fleet.metadata.decisions, fleet.metadata.name, allowed)
+    return found | {
+        "decision_us_median": decision_us(fleet.policy, question.uavs - 1, _rows_of(fleet.policy)),
+        "switches_per_min": switches_per_minute(question, objective, fleet),
+    }
+
+
+def evaluate_plugin(policy: PluginPolicy, question: Question) -> dict[str, float | int | str]:
+    """Measure the policy of a plug-in, as `evaluate` does that of a file. It decides at random phases.
+
+    Raises:
+        ConfigError: The policy does not fit the question, or fails.
+    """
+    objective, actions = objective_of(question.objective)
+    if policy.actions != tuple(actions):
+        raise ConfigError(
+            f"policy {policy.plugin}: its actions are not those of the objective {question.objective!r}"
+        )
+    allowed = legal(actions, REGIONS[question.region])
+    if not allowed.any():
+        raise ConfigError(f"--region: {question.region}: none of the policy's actions is legal there")
+    fleet = Plugged(policy, allowed)
+    found = _measured(question, fleet, "phases", policy.plugin.name, torch.from_numpy(allowed))
+    rows = np.zeros((0, len(NEIGHBOUR_COLUMNS)))
+    return found | {
+        "decision_us_median": decision_us(policy, question.uavs - 1, (np.zeros(len(OWN_COLUMNS)), rows)),
+        "switches_per_min": switches_per_minute(question, objective, fleet),
+    }
+
+
+def objective_of_plugin(policy: PluginPolicy) -> ObjectiveName:
+    """The objective that has the actions of a policy.
+
+    Raises:
+        ConfigError: Neither has.
+    """
+    known: dict[tuple[Action, ...], ObjectiveName] = {PAPER_ACTIONS: "paper", SET_ACTIONS: "awareness"}
+    if policy.actions not in known:
+        raise ConfigError(
+            f"policy {policy.plugin}: it cannot be evaluated: its actions are neither "
+            "companion.atmc.actions.PAPER_ACTIONS nor SET_ACTIONS"
+        )
+    return known[policy.actions]
+
+
+def _measured(
+    question: Question, fleet: Decider, decisions: str, name: str, allowed: Tensor
+) -> dict[str, float | int | str]:
+    """The question and the costs of all methods.
+
+    Args:
+        decisions: whether the fleet decides "together" or at random "phases".
+        name: of the policy.
+        allowed: (actions,), which actions may be chosen.
+    """
+    objective, actions = objective_of(question.objective)
     found = _Sums(len(actions))
     for side in SIDES_M:
-        _measure_side(question, objective, fleet, allowed, side, found)
+        _measure_side(question, objective, fleet, decisions, allowed, side, found)
     return {
-        "policy": fleet.metadata.name,
+        "policy": name,
         "objective": question.objective,
         "region": question.region,
         "uavs": question.uavs,
@@ -127,8 +187,6 @@ def evaluate(data: bytes, name: str, question: Question) -> dict[str, float | in
         "samples": question.samples,
         "seed": question.seed,
         **found.report(allowed, actions),
-        "decision_us_median": decision_us(fleet.policy, question.uavs - 1),
-        "switches_per_min": switches_per_minute(question, objective, fleet),
     }
 
 
@@ -205,7 +263,13 @@ class _Sums:
 
 
 def _measure_side(
-    question: Question, objective: Objective, fleet: Frozen, allowed: Tensor, side: float, found: _Sums
+    question: Question,
+    objective: Objective,
+    fleet: Decider,
+    decisions: str,
+    allowed: Tensor,
+    side: float,
+    found: _Sums,
 ) -> None:
     """Measure all methods at the same positions in one square."""
     seed = (question.seed * 1_000_003 + int(side)) * 1_000_003 % 2**63
@@ -223,11 +287,11 @@ def _measure_side(
         if env is None or env.environments != some:
             env = Env(settings, objective, some, question.uavs, generator)
             env.action = allowed.nonzero()[:, 0][env.action % int(allowed.sum())]
-            _decide(env, fleet, fleet.metadata.decisions, generator)
+            _decide(env, fleet, decisions, generator)
         # Reseed, so that positions are the same for every policy, however many random numbers it has drawn.
         generator.manual_seed((seed + done) % 2**63)
         env.go_on()
-        total["policy"] += float(_decide(env, fleet, fleet.metadata.decisions, generator))
+        total["policy"] += float(_decide(env, fleet, decisions, generator))
         policy = env.action
         total["rule"] += float(
             _decide(env, rule_of(question.objective, objective.channel.actions, allowed), "phases", generator)
@@ -272,10 +336,19 @@ def _decide(env: Env, decider: Decider, decisions: str, generator: torch.Generat
     return torch.stack([cost.sum() for cost in last]).mean()
 
 
-def decision_us(policy: Policy, neighbours: int) -> float:
-    """Median time (us) of one decision with the code that flies: NumPy, one thread, on this machine."""
-    own = np.array(policy.metadata.golden[0].own)
-    rows = np.array([row for golden in policy.metadata.golden for row in golden.rows])
+def _rows_of(policy: Policy) -> tuple[Floats, Floats]:
+    """An own row and neighbour rows for a policy, from its golden cases."""
+    golden = policy.metadata.golden
+    return np.array(golden[0].own), np.array([row for case in golden for row in case.rows])
+
+
+def decision_us(policy: Mind, neighbours: int, seen: tuple[Floats, Floats]) -> float:
+    """Median time (us) of one decision with the code that flies: NumPy, one thread, on this machine.
+
+    Args:
+        seen: an own row, and neighbour rows that are repeated for so many neighbours.
+    """
+    own, rows = seen
     rows = np.resize(rows, (neighbours, len(NEIGHBOUR_COLUMNS))) if len(rows) else np.zeros((0, 8))
     allowed = np.ones(len(policy.actions), bool)
     times = []

@@ -10,6 +10,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from companion.atmc.plugin_policy import plugin_policy
 from companion.errors import ConfigError
 from companion.shipped import given
 from ground_tools.atmc.env.torch_setup import set_up_torch
@@ -42,7 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "examples:\n  ground-tools atmc evaluate --policy config/policies/atmc.safetensors --region eu\n"
         "  ground-tools atmc evaluate --policy FILE --uavs 50 --samples 100 --load 0.5 --json"
     )
-    parser.add_argument("--policy", type=given, required=True, metavar="FILE", help="the frozen policy")
+    parser.add_argument(
+        "--policy", required=True, metavar="FILE|plugin:NAME", help="the frozen policy, or that of a plug-in"
+    )
     parser.add_argument(
         "--objective",
         choices=("paper", "awareness"),
@@ -93,10 +96,14 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: An option is wrong, the policy cannot be used, or PyTorch is missing.
     """
     evaluate = evaluation()
-    data = evaluate.read_policy(args.policy)
+    plugged = plugin_policy(args.policy)
+    file = given(args.policy)
     objective = args.objective
-    if objective is None:
-        objective = evaluate.Frozen(data, str(args.policy)).metadata.objective
+    if plugged is not None:
+        objective = objective or evaluate.objective_of_plugin(plugged)
+    else:
+        data = evaluate.read_policy(file)
+        objective = objective or evaluate.Frozen(data, str(file)).metadata.objective
     question = evaluate.Question(
         objective=objective,
         region=args.region,
@@ -108,7 +115,10 @@ def run(args: argparse.Namespace) -> int:
         wifi_channels=args.wifi_channels,
     )
     _check(question)
-    found = evaluate.evaluate(data, str(args.policy), question)
+    if plugged is not None:
+        found = evaluate.evaluate_plugin(plugged, question)
+    else:
+        found = evaluate.evaluate(data, str(file), question)
     if args.json:
         print(json.dumps(found))
     else:

@@ -1,13 +1,18 @@
-"""What the name of a law means for a flight: a law of the companion, one of `laws`, or `omniscient`."""
+"""What a law's name means for a flight: the companion's, one of `laws`, a plug-in's, or `omniscient`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import msgspec
+
+from companion import plugins
 from companion.avoidance import kernels
 from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
+from companion.laws import plugin_of
+from companion.plugins import Plugin
 from ground_tools.campaign.peers import laws, omniscient
 from ground_tools.campaign.peers.orca import Orca
 
@@ -27,6 +32,8 @@ class Flown:
     """Numbers of the companion's law that are changed, by field of `kernels.Settings`."""
     planned: bool = False
     """Whether everything is planned before the flight (`omniscient`)."""
+    plugin: Plugin | None = None
+    """The plug-in that `avoidance` names. It flies in Python, with the companion's own tracks (`twins`)."""
 
     def settings(self, own: kernels.Settings, avoids: bool) -> list[float]:
         """The row of one aircraft in the table of settings of `flight.fly`.
@@ -61,8 +68,15 @@ def flown_by(law: str, companions: Mapping[str, AvoidanceConfig]) -> Flown:
         return Flown(companions[OWN], planned=True)
     name = law.partition(":")[0]
     if name not in laws.PEERS and name != OWN:
-        allowed = ", ".join([*companions, *laws.PEERS, omniscient.NAME])
-        raise ConfigError(f"--law: {name} is unknown; allowed: {allowed}")
+        there = plugins.names(plugins.LAWS)
+        if law not in there:
+            allowed = ", ".join([*companions, *laws.PEERS, omniscient.NAME, *there])
+            raise ConfigError(f"--law: {name} is unknown; allowed: {allowed}, or another plug-in's law")
+        try:
+            plugin = plugin_of(law)
+        except ConfigError as error:
+            raise ConfigError(f"--law: {error}") from error
+        return Flown(msgspec.structs.replace(companions[OWN], law=law), plugin=plugin)
     try:
         if name == OWN:
             return Flown(companions[OWN], changed=laws.varied(law))

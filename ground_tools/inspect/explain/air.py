@@ -169,8 +169,8 @@ def gather(record: AircraftRecord) -> dict[str, Any]:
     """
     config = None if record.header is None else record.header.config
     found = _Gatherer(config, record.facts.utc_offset_s)
-    # A telemetry log may be gigabytes long and provides only what was heard, so skip one without any.
-    nothing = record.tlog and not record.facts.heard
+    # A log may be gigabytes long and provides only what was heard, so skip one without any.
+    nothing = record.log and not record.facts.heard
     for step in () if nothing else record.steps():
         for event in step.events:
             found.add_event(step.now_s, event)

@@ -9,7 +9,7 @@ from pathlib import Path
 from companion.errors import ConfigError
 from ground_tools.inspect.command import read_all
 from ground_tools.inspect.explain import manoeuvres
-from ground_tools.inspect.export import incident, kml, tables
+from ground_tools.inspect.export import incident, kml, mcap, rosbag, tables
 from ground_tools.inspect.read.flown import flown, separations
 from ground_tools.inspect.read.timeline import together
 
@@ -25,7 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools export` to `parser`."""
     parser.description = "Export runs for other software. Several RUNs are put on one UTC time line."
     parser.epilog = EXAMPLE
-    parser.add_argument("run_folder", nargs="+", type=Path, metavar="RUN", help="run folder or .tlog file")
+    parser.add_argument(
+        "run_folder", nargs="+", type=Path, metavar="RUN", help="run folder, or .tlog, .bin or .ulg file"
+    )
     parser.add_argument(
         "--csv",
         type=Path,
@@ -34,6 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--parquet", type=Path, metavar="DIR", help="write the same tables as .parquet")
     parser.add_argument("--kml", type=Path, metavar="FILE", help="write the paths for Google Earth")
+    parser.add_argument("--mcap", type=Path, metavar="FILE.mcap", help="write the run for Foxglove")
+    parser.add_argument("--rosbag", type=Path, metavar="DIR", help="write the run as a ROS 2 bag")
     parser.add_argument(
         "--scenario",
         type=Path,
@@ -54,8 +58,10 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: No input can be read, the run cannot be exported in the requested form, or a file cannot
             be written.
     """
-    if not (args.csv or args.parquet or args.kml or args.scenario):
-        raise ConfigError("there is nothing to write; give --csv, --parquet, --kml or --scenario")
+    if not any((args.csv, args.parquet, args.kml, args.mcap, args.rosbag, args.scenario)):
+        raise ConfigError(
+            "there is nothing to write; give --csv, --parquet, --kml, --mcap, --rosbag or --scenario"
+        )
     if args.planned and not args.scenario:
         raise ConfigError("--planned is allowed only with --scenario")
     runs = read_all(args.run_folder)
@@ -88,6 +94,10 @@ def run(args: argparse.Namespace) -> int:
     if args.kml:
         kml.write(whole, ways, pairs, args.kml)
         print(f"wrote {args.kml}")
+    if args.mcap:
+        print(f"wrote {args.mcap}: {mcap.write(whole, ways, pairs, args.mcap)} messages")
+    if args.rosbag:
+        print(f"wrote {args.rosbag}: {rosbag.write(whole, ways, pairs, args.rosbag)} messages")
     if args.scenario:
         found = incident.planned_again(whole) if args.planned else incident.flown_again(whole, ways)
         incident.write(found, args.scenario)

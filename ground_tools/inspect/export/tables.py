@@ -147,7 +147,8 @@ def tracks(run: Run, ways: Flown) -> Iterator[Rows]:
                 numbers[:, 1:4] = to_geodetic(ned, ways.origin)
                 numbers[:, 4:7] = ned
                 yield _block(ways, [record.name] * len(ned), "true", "", numbers)
-        yield from _heard(record, ways, offset)
+        if record.facts.heard or record.facts.adsb:  # otherwise the record is not read once more
+            yield from _heard(record, ways, offset)
 
 
 def encounters(ways: Flown, pairs: list[Separation]) -> Rows:

@@ -53,6 +53,7 @@ from companion.events import (
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, Location
 from companion.traffic.fix import make_fix
+from ground_tools.inspect.read.conditions import GnssQuality
 from ground_tools.inspect.read.nearness import AdsbTally, Approaches, HeardAdsb
 from ground_tools.inspect.read.spill import BLOCK, Spill
 
@@ -150,6 +151,7 @@ class Facts:
     """now_s of every broadcast, by transport."""
     heard: dict[str, Heard]
     """Received frames, by radio address."""
+    gnss: GnssQuality
     adsb: dict[str, HeardAdsb]
     """Aircraft heard by ADS-B, by their ICAO addresses."""
     tracks: dict[str, TrackFacts]
@@ -188,6 +190,7 @@ class Gatherer:
         self.undulation = array("d")
         self.sent: dict[str, array[float]] = {}
         self.heard: dict[str, tuple[array[float], set[str], set[str], Approaches]] = {}
+        self.gnss = GnssQuality()
         self.adsb = AdsbTally()
         self.frame: LocalFrame | None = None
         self.tracks: dict[str, _Track] = {}
@@ -224,6 +227,7 @@ class Gatherer:
             case Decision():
                 self._decide(now_s, item)
             case GnssFix():
+                self.gnss.add(now_s, item)
                 if item.alt_ellipsoid_m is not None:
                     self.undulation.append(item.alt_ellipsoid_m - item.alt_msl_m)
             case VehicleTime():
@@ -336,6 +340,7 @@ class Gatherer:
                 )
                 for address, (times, transports, names, near) in self.heard.items()
             },
+            gnss=self.gnss,
             adsb=self.adsb.heard(),
             tracks={name: _track_facts(found) for name, found in self.tracks.items()},
             rare=tuple(self.rare),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from companion.arrays import Bools, Floats
+from ground_tools.inspect.read.spill import BLOCK
 
 SPIKE_M = 30.0
 """A height farther than this from the median of its neighbours is no height of the flight."""
@@ -21,8 +22,17 @@ def spikes(time_s: Floats, height_m: Floats) -> Bools:
         time_s: (n,) rising times.
         height_m: (n,) heights.
     """
+    found = np.zeros(len(time_s), bool)
     if len(time_s) < 3:
-        return np.zeros(len(time_s), bool)
+        return found
+    for at in range(0, len(time_s), BLOCK):
+        first, last = max(at - _SIDE, 0), at + BLOCK + _SIDE
+        block = _spikes(time_s[first:last], height_m[first:last])
+        found[at : at + BLOCK] = block[at - first : at - first + BLOCK]
+    return found
+
+
+def _spikes(time_s: Floats, height_m: Floats) -> Bools:
     padded = np.pad(height_m, _SIDE, constant_values=np.nan)
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _SIDE + 1)
     times = np.pad(time_s, _SIDE, constant_values=np.nan)

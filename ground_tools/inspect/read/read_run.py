@@ -1,4 +1,4 @@
-"""Reads what was recorded: a run folder, one event record, or a telemetry log (.tlog) of any vehicle.
+"""Reads what was recorded: a run folder, one event record, or the log (.tlog, .bin, .ulg) of any vehicle.
 
 A run folder contains `manifest.json`, an optional `summary.json`, and the event record of every aircraft. A
 run that was killed is read as far as it was written. If an aircraft's event record is missing or unreadable,
@@ -14,31 +14,33 @@ import functools
 import glob
 import json
 import os
+import re
 import stat
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from companion import event_record
 from companion.arrays import Floats
 from companion.errors import ConfigError, PeerDataError
 from companion.event_record import Header, Step
-from ground_tools.inspect.read import read_tlog
+from ground_tools.inspect.read import read_onboard, read_tlog
 from ground_tools.inspect.read.facts import Facts, gather
 from ground_tools.inspect.read.link_health import LinkHealth
 from ground_tools.inspect.read.truth import read_truth
 
 _OTHER_KINDS = {
-    b"\xa3\x95": "an ArduPilot dataflash log",
-    b"ULog": "a PX4 log (ULog)",
+    b"FMT,": "an ArduPilot dataflash log that was converted to text (use the .bin itself)",
     b"\x89PNG": "a picture",
     b"\x1f\x8b": "a compressed file (unpack it first)",
     b"RRF2": "a Rerun recording (open it with rerun)",
     b"PK": "an archive (unpack it first)",
 }
 """First bytes of other file types that users often keep next to their logs, with the text for the error."""
-_RECORDS = (".events", ".tlog")
+_ALLOWED = "a run folder, an event record (.events), a log (.tlog, ArduPilot's .bin, PX4's .ulg)"
+_OTHER_KIND = re.compile("not a telemetry log|no DataFlash log|no ULog file")
+_RECORDS = (".events", ".tlog", *read_onboard.SUFFIXES)
 _MOST_NAMED = 5
 """Most runs that are named for a folder that holds them."""
 TELLING_S = 0.05
@@ -60,10 +62,13 @@ class AircraftRecord:
     memory. The iteration ends at damage, as it did when `facts` were gathered."""
     truth: Floats | None = None
     """True positions, (n, 4) of utc_s, north_m, east_m, down_m; None if they are not known."""
-    tlog: bool = False
-    """True if read from a telemetry log. Then `now_s` is the log's UTC."""
+    log: Literal["", "telemetry", "onboard"] = ""
+    """The kind of log that it was read from; empty for an event record. `now_s` of a telemetry log is its
+    UTC, that of an onboard log the vehicle's time since it started."""
     stamped: bool = False
     """True for a telemetry log in which no vehicle sent UTC. Then the UTC of its timestamps is unverified."""
+    wind: Floats | None = None
+    """(n, 3) time, and the wind towards north and east (m/s), by the autopilot; None if it is not known."""
     link_of: Callable[[], LinkHealth | None] = lambda: None
 
     @property
@@ -128,7 +133,7 @@ def read_unavoided(folder: Path) -> Run | None:
 
 
 def read_run(path: Path) -> Run:
-    """Read a run folder, an event record or a telemetry log.
+    """Read a run folder, an event record or a vehicle's log.
 
     Raises:
         ConfigError: The file or folder does not exist, or no flight data could be read from it.
@@ -151,6 +156,8 @@ def read_run(path: Path) -> Run:
     for events, tlog in _flights(path, manifest, problems):
         aircraft += _flight(events, tlog, path, problems, notes)
     if not aircraft:
+        aircraft = _onboard_logs(path, problems, notes)
+    if not aircraft:
         found = "; ".join(problems) or _other_runs(path)
         raise ConfigError(f"{path}: {found}")
     return Run(path, manifest, summary, tuple(aircraft), tuple(problems), tuple(notes))
@@ -158,8 +165,8 @@ def read_run(path: Path) -> Run:
 
 def _other_runs(folder: Path) -> str:
     """What a folder holds that has no record itself: perhaps runs, of which the newest are named."""
-    nothing = "the folder has no event record (*.events) and no telemetry log (*.tlog)"
-    inside = {path.parent for kind in _RECORDS for path in folder.glob(f"*/*{kind}")}
+    nothing = "the folder has no event record (*.events) and no log (*.tlog, *.bin, *.ulg)"
+    inside = {path.parent for path in folder.glob("*/*") if path.suffix.lower() in _RECORDS}
     if not inside:
         return nothing
     newest = sorted(inside, key=lambda path: path.name, reverse=True)
@@ -177,16 +184,18 @@ def _file(path: Path) -> Run:
         head = stream.read(8)
     for magic, kind in _OTHER_KINDS.items():
         if head.startswith(magic):
-            raise ConfigError(
-                f"{path}: this is {kind}; "
-                "allowed: a run folder, an event record (.events) or a telemetry log (.tlog)"
-            )
-    if head.startswith(event_record.MAGIC[:-1]):
+            raise ConfigError(f"{path}: this is {kind}; allowed: {_ALLOWED}")
+    reader = read_onboard.reader_of(head)
+    if reader is not None:
+        aircraft = _onboard(path, reader, problems, notes)
+    elif head.startswith(event_record.MAGIC[:-1]):
         aircraft = _flight(path, _beside(path), path.parent, problems, notes)
     else:
         aircraft = _flight(None, path, path.parent, problems, notes)
     if not aircraft:
-        raise ConfigError(f"{path.parent / problems[0]}" if problems else f"{path}: the file has no content")
+        words = problems[0] if problems else f"{path.name}: the file has no content"
+        allowed = f"; allowed: {_ALLOWED}" if _OTHER_KIND.search(words) else ""
+        raise ConfigError(f"{path.parent / words}{allowed}")
     return Run(path, None, None, tuple(aircraft), tuple(problems), tuple(notes))
 
 
@@ -305,7 +314,7 @@ def _logged(
                 vehicle.facts,
                 vehicle.steps,
                 truth=_truth(folder, name, problems),
-                tlog=True,
+                log="telemetry",
                 stamped=not log.tells_utc,
                 link_of=functools.partial(_given, vehicle.link),
             )
@@ -313,6 +322,53 @@ def _logged(
     if found and not log.tells_utc:
         notes.append(f"{tlog.name}: {STAMPED}")
     return found
+
+
+def _onboard_logs(folder: Path, problems: list[str], notes: list[str]) -> list[AircraftRecord]:
+    """The onboard logs in a folder. Without UTC the time of one among several is not known."""
+    found: list[AircraftRecord] = []
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() not in read_onboard.SUFFIXES or not path.is_file():
+            continue
+        with path.open("rb") as stream:
+            reader = read_onboard.reader_of(stream.read(8))
+        if reader is not None:  # other files, too, have names that end in .bin
+            found += _onboard(path, reader, problems, notes)
+    if len(found) > 1:
+        problems += [
+            f"{one.name}: the log is left out, because it has no UTC and so cannot be aligned with the others"
+            for one in found
+            if one.facts.utc_offset_s is None
+        ]
+        found = [one for one in found if one.facts.utc_offset_s is not None]
+    return found
+
+
+def _onboard(
+    path: Path, reader: read_onboard.ReadSteps, problems: list[str], notes: list[str]
+) -> list[AircraftRecord]:
+    """The aircraft of an onboard log, in a list; an empty one if it cannot be read."""
+    try:
+        log = read_onboard.read(path, reader)
+    except PeerDataError as error:
+        problems.append(str(error))
+        return []
+    except OSError as error:
+        problems.append(f"{path.name}: cannot be read: {error.strerror}")
+        return []
+    if not log.facts.steps:
+        problems.append(f"{path.name}: the log has no message that can be shown")
+    problems += log.about.damage(path.name)
+    if not log.facts.steps:
+        return []
+    # Autopilots number their logs or name them after the time.
+    name = path.stem if re.search("[A-Za-z]", path.stem) else f"system {log.about.system_id}"
+    notes.append(f"{name}: {path.name}: {log.words}")
+    notes.append(f"{name}: the log does not contain {', '.join(log.about.missing())}")
+    if log.facts.utc_offset_s is None:
+        notes.append(f"{name}: the log has no UTC; times count from the vehicle's start")
+    truth = _truth(path.parent, path.stem, problems)
+    return [AircraftRecord(name, None, log.facts, log.steps, truth, "onboard", wind=log.wind)]
 
 
 def _off(facts: Facts) -> str:

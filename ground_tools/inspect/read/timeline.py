@@ -3,8 +3,8 @@
 In a lock-step run, and for companions on one machine, `now_s` of the steps is one clock shared by all.
 Otherwise each companion counts from its own boot. Its times are then aligned by the UTC of the autopilots
 (SYSTEM_TIME), to within the latency of the links and the error of the autopilots' clocks. A telemetry log has
-its own UTC. If all aircraft fly timed paths that start at the same UTC, time 0 is that start, as it is for
-the paths. `TimeLine.words` states which case applies.
+its own UTC, an onboard log that of the vehicle's GNSS receiver. If all aircraft fly timed paths that start at
+the same UTC, time 0 is that start, as it is for the paths. `TimeLine.words` states which case applies.
 """
 
 from __future__ import annotations
@@ -42,13 +42,15 @@ def time_line(run: Run) -> TimeLine:
     known = {name: offset for name, offset in to_utc.items() if offset is not None}
     if len(known) < len(to_utc):
         words = "the companion's own clock"
+        if run.aircraft[0].log:
+            words = "the vehicle's clock, since it started"
         if len(to_utc) > 1:
             silent = ", ".join(name for name in to_utc if name not in known)
             words = f"one clock, assumed to be common because {silent} recorded no UTC"
         return TimeLine(dict.fromkeys(to_utc, 0.0), None, words)
     values = list(known.values())
     # The time line starts at the earliest step, because small numbers are easier to read in plots.
-    if any(record.tlog for record in run.aircraft):
+    if any(record.log for record in run.aircraft):
         words = _utc_of_logs(run.aircraft)
         zero = _first_start(run.aircraft)
     elif max(values) - min(values) <= SHARED_CLOCK_S:
@@ -66,9 +68,14 @@ def time_line(run: Run) -> TimeLine:
 
 
 def _utc_of_logs(aircraft: Sequence[AircraftRecord]) -> str:
-    """Describe the source of UTC if at least one aircraft is a telemetry log."""
+    """Describe the source of UTC if at least one aircraft was read from a log."""
+    onboard = sum(record.log == "onboard" for record in aircraft)
+    if onboard == len(aircraft):
+        return "UTC of the vehicles' GNSS receivers, as logged on board"
     stamped = [record.name for record in aircraft if record.stamped]
     told = "UTC that the vehicles sent (SYSTEM_TIME)"
+    if onboard:
+        told += " or logged on board (GNSS)"
     own = "the log's own time stamps" if len(stamped) == 1 else "their logs' own time stamps"
     if not stamped:
         return told

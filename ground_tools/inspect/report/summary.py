@@ -20,6 +20,7 @@ from companion.runtime.record.disk import RUN
 from ground_tools.inspect.explain import air, manoeuvres, traffic
 from ground_tools.inspect.explain.manoeuvres import Manoeuvre
 from ground_tools.inspect.read import flight
+from ground_tools.inspect.read.conditions import wind_figures
 from ground_tools.inspect.read.faults import faults
 from ground_tools.inspect.read.flown import Separation, closest, flown
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
@@ -131,6 +132,8 @@ def _aircraft(
         "oldest_track_s": max((float(track.age_s.max()) for track in facts.tracks.values()), default=None),
         "authority": authority[-1] if authority else None,
         "flight": flight.flight(record, offset_s),
+        "gnss": facts.gnss.figures(),
+        "wind": None if record.wind is None else wind_figures(record.wind),
         "manoeuvres": [_moved(manoeuvres.figures(one), offset_s) for one in done],
         "alerts": flight.alerts(record, offset_s),
         "remote_id": _moved_sent(air.gather(record), offset_s),

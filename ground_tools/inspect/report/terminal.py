@@ -93,6 +93,7 @@ def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
         ("Other pairs" if figures["conflicts"] else "Pairs", _separations(figures)),
         ("Faults and warnings", _events(aircraft, "faults")),
         ("Flights", _flights(aircraft)),
+        ("GNSS and wind", _conditions(aircraft)),
         ("Decisions and alerts", _decisions(aircraft)),
         ("Modes", _spans(aircraft, "modes", "mode")),
         ("Authority", _spans(aircraft, "authority", "state", "reason")),
@@ -163,6 +164,28 @@ def _flights(aircraft: Sequence[dict[str, Any]]) -> Rows:
         ]
         for one in aircraft
     ]
+
+
+def _conditions(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    """Rows of the aircraft that reported a GNSS fix or a wind."""
+    head = ["aircraft", "GNSS reports", "without 3D fix (s)", "fewest satellites", "worst accuracy (m)"]
+    rows = [[*head, "mean wind (m/s)", "from (deg)", "strongest (m/s)"]]
+    for one in aircraft:
+        gnss, wind = one["gnss"], one["wind"] or {}
+        if gnss["reports"] or wind:
+            rows.append(
+                [
+                    one["name"],
+                    str(gnss["reports"]),
+                    number(gnss["without_fix_s"]),
+                    number(gnss["least_satellites"], 0),
+                    number(gnss["worst_accuracy_m"], 2),
+                    number(wind.get("mean_mps")),
+                    number(wind.get("from_deg"), 0),
+                    number(wind.get("max_mps")),
+                ]
+            )
+    return rows
 
 
 def _decisions(aircraft: Sequence[dict[str, Any]]) -> Rows:

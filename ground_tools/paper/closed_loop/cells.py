@@ -13,7 +13,9 @@ from typing import Any
 
 import msgspec
 
+from companion.atmc.plugin_policy import plugin_policy
 from ground_tools.common.kept_lines import Kept
+from ground_tools.common.plugin_state import state_of
 from ground_tools.paper.closed_loop.flights import FILE, METHODS, Flight, Row
 from ground_tools.results import sources
 from sitl_mocks.channel.parameters import ChannelParameters
@@ -49,7 +51,7 @@ def _made_with(flight: Flight, crowd: int) -> dict[str, Any]:
         "region": "none" if method.policy is None else flight.region.name,
         "channel": _digest(msgspec.json.encode(_of_packets(flight.channel))),
         "crowd": crowd,
-        "policy": _digest(flight.policy) if method.policy == FILE and flight.policy is not None else None,
+        "policy": _policy(flight) if method.policy == FILE else None,
     }
 
 
@@ -58,6 +60,14 @@ def _of_packets(channel: ChannelParameters) -> dict[str, Any]:
     content: dict[str, Any] = msgspec.to_builtins(channel)
     del content["phases"], content["ble5"]["pointers"]
     return content
+
+
+def _policy(flight: Flight) -> str | None:
+    """The state of the policy that a flight uses: of its file, or of its plug-in."""
+    plugged = plugin_policy(flight.plugin)
+    if plugged is not None:
+        return state_of(plugged.plugin)
+    return None if flight.policy is None else _digest(flight.policy)
 
 
 def _digest(data: bytes) -> str:

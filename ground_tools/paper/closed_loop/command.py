@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from companion.config import AtmcConfig
+from companion.config import AtmcConfig, names_file
 from companion.errors import ConfigError
 from companion.runtime.warm import warm_up
 from companion.shipped import given, shipped
@@ -74,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--policy",
         type=given,
         default=shipped(_POLICY),
-        metavar="FILE",
+        metavar="FILE|plugin:NAME",
         help=f"policy of the method {ATMC} (default: {_POLICY})",
     )
     group.add_argument(
@@ -164,9 +164,10 @@ def flights_of(args: argparse.Namespace, condition: str, method: str) -> list[Fl
     """
     region = scenario_file.load_region(args.region)
     channel = parameters.load(shipped(_CHANNEL))
-    policy = None
+    policy = plugin = None
     if method == ATMC:
         wanted = scenario_file.Scenario(atmc=AtmcConfig(policy=str(args.policy)), region=region)
+        plugin = None if names_file(wanted.atmc.policy) else wanted.atmc.policy
         try:
             policy = read_policy(wanted)
         except ConfigError as error:
@@ -174,7 +175,7 @@ def flights_of(args: argparse.Namespace, condition: str, method: str) -> list[Fl
     # Without avoidance the radio environment has no effect on the flight.
     size = 1 if method == UNAVOIDED else _side_by_side(args, condition)
     runs = seeds_of(args.seed, args.encounters, size)
-    return [Flight(condition, method, seeds, region, channel, policy) for seeds in runs]
+    return [Flight(condition, method, seeds, region, channel, policy, plugin) for seeds in runs]
 
 
 def _side_by_side(args: argparse.Namespace, condition: str) -> int:

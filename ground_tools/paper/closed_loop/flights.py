@@ -84,6 +84,8 @@ class Flight:
     channel: ChannelParameters
     policy: bytes | None
     """Content of the policy file, for the method that uses one."""
+    plugin: str | None = None
+    """The policy of a plug-in that this method uses instead, as "plugin:NAME"."""
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
@@ -123,7 +125,7 @@ def scenario_of(flight: Flight) -> tuple[Scenario, list[range]]:
     if flight.condition == LOADED:
         channel = msgspec.structs.replace(channel, background=LOAD)
     air = AirSettings(model="packets", transports=method.transports, rate=RATE)
-    atmc = AtmcConfig(policy=method.policy)
+    atmc = AtmcConfig(policy=flight.plugin if method.policy == FILE and flight.plugin else method.policy)
     return Scenario(
         path=tuple(paths),
         air=air if method.avoids else AirSettings(),

@@ -56,7 +56,7 @@ def test_an_aircraft_without_a_readable_event_record_is_shown_by_its_tlog(
         events.write_bytes(content)
     write_tlog(run_folder / "DMUCA002.tlog", made, made.eastbound(20.0))
     run = read_run(run_folder)
-    assert [(one.name, one.tlog) for one in run.aircraft] == [("DMUCA001", False), ("DMUCA002", True)]
+    assert [(one.name, one.log) for one in run.aircraft] == [("DMUCA001", ""), ("DMUCA002", "telemetry")]
     assert any("the telemetry log is shown instead" in problem for problem in run.problems)
     closest = separations(flown(run).paths)[0]
     assert closest.minimum_m == pytest.approx(20.0 / 2**0.5, abs=0.03)
@@ -89,7 +89,7 @@ def test_the_link_of_a_companion_is_that_of_the_tlog_beside_it(
 ) -> None:
     write_tlog(run_folder / "DMUCA001.tlog", made, made.northbound)
     one, other = read_run(run_folder).aircraft
-    assert (one.tlog, other.link) == (False, None)
+    assert (one.log, other.link) == ("", None)
     assert one.link is not None
     (component,) = one.link.components
     assert component.frames == 601 + 2 * 61
@@ -239,10 +239,10 @@ def unreadable(folder: Path, kind: str) -> tuple[Path, str]:
             return path, "this is a compressed file"
         case "ulg":
             path.write_bytes(b"ULog\x01\x12\x35")
-            return path, "a PX4 log"
+            return path, "no ULog file"
         case _:
             path.write_bytes(b"\xa3\x95\x80\x80")
-            return path, "an ArduPilot dataflash log"
+            return path, "no DataFlash log"
 
 
 @pytest.mark.parametrize(

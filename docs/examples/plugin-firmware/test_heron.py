@@ -1,0 +1,7 @@
+"""The dialect passes the kit."""
+
+from dmuca.testing import FirmwareConformance
+
+
+class TestHeron(FirmwareConformance):
+    name = "heron"

@@ -1,0 +1,44 @@
+"""The policy of a plug-in as a `Decider` of whole fleets."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from companion.arrays import Bools
+from companion.atmc.choice import Refused
+from companion.atmc.plugin_policy import PluginPolicy
+from companion.errors import ConfigError
+from ground_tools.atmc.env.environment import Observation
+
+
+class Plugged:
+    """Asks the policy of a plug-in for one aircraft after the other. A `Decider`.
+
+    One policy decides for all aircraft, so it must keep nothing of earlier decisions.
+
+    Args:
+        allowed: shape (actions,), which actions may be chosen.
+    """
+
+    def __init__(self, policy: PluginPolicy, allowed: Bools) -> None:
+        self._policy = policy
+        self._allowed = allowed
+
+    def decide(self, seen: Observation, action: Tensor) -> Tensor:
+        """See `Decider.decide`.
+
+        Raises:
+            ConfigError: the policy fails or refuses. In flight the fall-back would decide instead, and the
+                measurement would be that of the fall-back.
+        """
+        own, rows, heard = seen.own.double().numpy(), seen.rows.double().numpy(), seen.heard.numpy() > 0
+        chosen = torch.empty_like(action)
+        for fleet in range(action.shape[0]):
+            for aircraft in range(action.shape[1]):
+                at = fleet, aircraft
+                answer = self._policy.choose(own[at], rows[at][heard[at]], self._allowed, int(action[at]))
+                if isinstance(answer, Refused):
+                    raise ConfigError(answer.text)
+                chosen[at] = answer.index
+        return chosen

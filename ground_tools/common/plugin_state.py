@@ -1,0 +1,19 @@
+"""A digest of a plug-in, to which kept results belong as they belong to the state of our own code."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from pathlib import Path
+
+from companion.plugins import Plugin
+
+
+def state_of(plugin: Plugin) -> str:
+    """Digest of the name and version of a plug-in's distribution, and of the file that defines its object.
+
+    Other files of the distribution are not followed: its version stands for them.
+    """
+    file = inspect.getsourcefile(plugin.loaded)
+    code = b"" if file is None else Path(file).read_bytes()
+    return hashlib.sha256(str(plugin).encode() + code).hexdigest()[:12]
