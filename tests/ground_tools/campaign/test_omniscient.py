@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.config import LimitsConfig
 from companion.errors import ConfigError
 from ground_tools import cli
 from ground_tools.campaign import cells as campaign
@@ -115,7 +116,7 @@ def test_the_plan_is_flown_and_the_intruder_is_the_same_as_for_other_laws():
     velocity = np.diff(look.trace[:, 1], axis=0) / look.world.step_s
     assert np.linalg.norm(velocity, axis=1).max() < 5.05
     change = np.diff(look.log.flown[1:, 1], axis=0)
-    assert np.linalg.norm(change, axis=1).max() <= 1.0 * 0.2 + 1e-9
+    assert np.linalg.norm(change, axis=1).max() <= LimitsConfig().max_acceleration_mps2 * 0.2 + 1e-9
     assert campaign.software_of([cell]) == campaign.software(planned=True, scenarios=True)
 
 
