@@ -50,6 +50,6 @@ def plugin_of(law: str) -> Plugin | None:
     there = plugins.names(plugins.LAWS)
     if law not in there:
         raise ConfigError(
-            f"{law!r} is unknown; allowed: {', '.join([*LAWS, *there])}, or another plug-in's law"
+            f"{law!r} is unknown; allowed: {', '.join([*LAWS, *there])}, or a plug-in's law"
         )
     return plugins.load(plugins.LAWS, law)
