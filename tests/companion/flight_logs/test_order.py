@@ -42,7 +42,7 @@ def test_after_a_restart_time_goes_on():
 
 def test_after_a_restart_stamps_are_shifted_as_the_steps_are():
     order = TimeOrder(About(), may_restart=True)
-    for time_s in (100.0, 200.0, 3.0, 4.0):
+    for time_s in (150.0, 200.0, 3.0, 4.0):
         list(order.add(time_s, VehicleText(severity=6, text="")))
     assert order.shifted(3.0) == 200.0
 
