@@ -296,6 +296,7 @@ class _Vehicle:
         if self._nav_state != _OFFBOARD:
             return []
         velocity = fields["velocity"] if "velocity" in fields else [fields[name] for name in _ALL_SPEEDS]
+        # What is not three numbers raises here, and `read_steps` counts it.
         north, east, down = map(float, velocity)  # type: ignore[arg-type]
         # NaN fails the comparison.
         if not math.hypot(north, east, down) <= MAX_SETPOINT_MPS:
