@@ -49,7 +49,5 @@ def plugin_of(law: str) -> Plugin | None:
         return None
     there = plugins.names(plugins.LAWS)
     if law not in there:
-        raise ConfigError(
-            f"{law!r} is unknown; allowed: {', '.join([*LAWS, *there])}, or another plug-in's law"
-        )
+        raise ConfigError(f"{law!r} is unknown; allowed: {', '.join([*LAWS, *there])}, or a plug-in's law")
     return plugins.load(plugins.LAWS, law)

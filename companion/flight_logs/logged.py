@@ -223,6 +223,7 @@ class TimeOrder:
         self._about.note(item)
         if isinstance(item, VelocitySetpoint):
             return Step(now_s=self._last_s, events=(), commands=(item,))
+        # A velocity setpoint is the only command that a log is read for.
         return Step(now_s=self._last_s, events=(item,), commands=())  # type: ignore[arg-type]
 
 

@@ -118,6 +118,10 @@ def _number(fields: Fields, name: str) -> float:
     return value
 
 
+def _vector(fields: Fields, first: str, second: str, third: str) -> Vec3:
+    return _number(fields, first), _number(fields, second), _number(fields, third)
+
+
 def _position_source(stream: BinaryIO, name: str) -> str:
     """The first of `_POSITIONS` with a place on Earth; empty if there is none."""
     stream.seek(0)
@@ -177,7 +181,7 @@ class _Vehicle:
         if not fields.get("lat_lon_valid", True) or not fields.get("alt_valid", True):
             return []
         if "vel_n" in fields:  # before 1.13
-            velocity: Vec3 | None = tuple(_number(fields, f"vel_{axis}") for axis in "ned")  # type: ignore[assignment]
+            velocity: Vec3 | None = _vector(fields, "vel_n", "vel_e", "vel_d")
         else:
             velocity = self._velocity if time_s - self._velocity_s <= _VELOCITY_AGE_S else None
         place = _number(fields, "lat"), _number(fields, "lon"), _number(fields, "alt")
@@ -218,9 +222,7 @@ class _Vehicle:
 
     def _gps(self, time_s: float, fields: Fields) -> list[AnyEvent | AnyCommand]:
         if "latitude_deg" in fields:  # since 1.14
-            place = tuple(
-                _number(fields, name) for name in ("latitude_deg", "longitude_deg", "altitude_msl_m")
-            )
+            place = _vector(fields, "latitude_deg", "longitude_deg", "altitude_msl_m")
             ellipsoid_m = _number(fields, "altitude_ellipsoid_m")
         else:
             place = (
@@ -251,8 +253,8 @@ class _Vehicle:
             utc_s -= float(_number(fields, "timestamp_time_relative")) / 1e6
             found.append(VehicleTime(time_boot_s=time_s, utc_s=utc_s))
         if fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX:
-            north, east, down = (_number(fields, f"vel_{axis}_m_s") for axis in "ned")
-            found += self._at("vehicle_gps_position", time_s, place, (north, east, down))  # type: ignore[arg-type]
+            velocity = _vector(fields, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s")
+            found += self._at("vehicle_gps_position", time_s, place, velocity)
         return found
 
     def _status(self, _s: float, fields: Fields) -> list[AnyEvent | AnyCommand]:
@@ -294,6 +296,7 @@ class _Vehicle:
         if self._nav_state != _OFFBOARD:
             return []
         velocity = fields["velocity"] if "velocity" in fields else [fields[name] for name in _ALL_SPEEDS]
+        # What is not three numbers raises here, and `read_steps` counts it.
         north, east, down = map(float, velocity)  # type: ignore[arg-type]
         # NaN fails the comparison.
         if not math.hypot(north, east, down) <= MAX_SETPOINT_MPS:

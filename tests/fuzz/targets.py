@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Iterable
-from functools import cache, partial
+from collections.abc import Iterable
+from functools import cache
 from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -39,7 +39,6 @@ from companion.events import (
     RemoteIdHeard,
     SetMode,
 )
-from companion.flight_logs import About, ardupilot, px4
 from companion.geofence import check_areas
 from companion.geometry import LocalFrame
 from companion.radio.ether import datagrams
@@ -63,7 +62,7 @@ from companion.remote_id.drip.hashes import message_hash
 from companion.remote_id.drip.link import decode_link, endorse
 from companion.remote_id.mavlink import READABLE, decode_odid, encode_message_pack, encode_odid
 from companion.traffic.tracks import Traffic
-from tests.fuzz import radio_targets
+from tests.fuzz import log_targets, radio_targets
 from tests.fuzz.seeds import (
     ADDRESS,
     MESSAGES,
@@ -76,8 +75,6 @@ from tests.fuzz.seeds import (
     taking,
     vectors,
 )
-from tests.support.dataflash_writer import DataFlashWriter
-from tests.support.ulog_writer import UlogWriter
 
 MAX_TRACKS = 50
 UTC_S = 1_750_000_000.0
@@ -100,54 +97,6 @@ def _read_odid(data: bytes) -> None:
 
 
 _ODID_IDS = sorted(READABLE)
-
-
-def _read_log(read_steps: Callable[..., Iterable[object]], data: bytes) -> None:
-    for _ in read_steps(io.BytesIO(data), "a log", About()):
-        pass
-
-
-@cache
-def _dataflash_seeds() -> list[bytes]:
-    """Small logs, one with units and one without."""
-    found = []
-    for with_units in (True, False):
-        log = DataFlashWriter(with_units=with_units)
-        log.define("POS", "QLLfff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt", "FGG000")
-        log.define("MSG", "QZ", "TimeUS,Message")
-        log.define("GUIP", "QBfff", "TimeUS,Type,vX,vY,vZ", "F-BBB")
-        log.write("MSG", 0, "ArduCopter V4.6.1")
-        for us in (1_000, 100_000):
-            log.write("POS", us, 47.0, 8.5, 450.0, 20.0, 20.0)
-            log.write("GUIP", us, 4, 100.0, 0.0, -50.0)
-        found.append(log.content)
-    return found
-
-
-@cache
-def _ulog_seeds() -> list[bytes]:
-    """Small logs, one of them with appended data."""
-    found = []
-    for appended in (False, True):
-        log = UlogWriter(0)
-        log.info("", "ver_hw", "PX4_SITL")
-        log.parameter("int32_t", "MAV_SYS_ID", 9)
-        log.define("wind", "uint64_t timestamp;float windspeed_north;float windspeed_east;")
-        log.define(
-            "vehicle_status",
-            "uint64_t timestamp;uint8_t nav_state;uint8_t arming_state;uint8_t[6] _padding0;",
-        )
-        for topic in ("wind", "vehicle_status"):
-            log.subscribe(topic)
-        for us in (1_000, 100_000):
-            log.data("vehicle_status", us, 14, 2)
-            log.data("wind", us, 3.0, -4.0)
-            log.sync()
-        if appended:
-            log.append_here()
-        log.text(200_000, 4, "low battery")
-        found.append(log.content)
-    return found
 
 
 @cache
@@ -475,7 +424,6 @@ def make_targets() -> list[Target]:
         _drip_hearing(),
         _link(),
         _signed_link(),
-        Target("dataflash log", _dataflash_seeds(), taking(partial(_read_log, ardupilot.read_steps))),
-        Target("ulog", _ulog_seeds(), taking(partial(_read_log, px4.read_steps))),
+        *log_targets.make_targets(),
         *radio_targets.make_targets(),
     ]

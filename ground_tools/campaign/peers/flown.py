@@ -71,7 +71,7 @@ def flown_by(law: str, companions: Mapping[str, AvoidanceConfig]) -> Flown:
         there = plugins.names(plugins.LAWS)
         if law not in there:
             allowed = ", ".join([*companions, *laws.PEERS, omniscient.NAME, *there])
-            raise ConfigError(f"--law: {name} is unknown; allowed: {allowed}, or another plug-in's law")
+            raise ConfigError(f"--law: {name} is unknown; allowed: {allowed}, or a plug-in's law")
         try:
             plugin = plugin_of(law)
         except ConfigError as error:

@@ -40,6 +40,13 @@ def test_after_a_restart_time_goes_on():
     assert about.counts.restarts == 1
 
 
+def test_after_a_restart_stamps_are_shifted_as_the_steps_are():
+    order = TimeOrder(About(), may_restart=True)
+    for time_s in (150.0, 200.0, 3.0, 4.0):
+        list(order.add(time_s, VehicleText(severity=6, text="")))
+    assert order.shifted(3.0) == 200.0
+
+
 def test_what_was_known_long_before_gets_the_time_at_which_it_was_written():
     found, about = ordered([5.0, 600.0, 600.1], may_restart=False, start_s=600.0)
     assert found == [(600.0, "0"), (600.0, "1"), (600.1, "2")]
