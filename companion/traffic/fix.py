@@ -129,14 +129,18 @@ class Belief(NamedTuple):
     """Error of the height that the sender declared."""
 
     def agrees(self, other: Belief) -> bool:
-        """Whether this one predicts the other state, but for noise and a gentle manoeuvre."""
+        """Whether this one predicts the other state, but for noise and a gentle manoeuvre.
+
+        Who forges a state that agrees with the true one replaces it. The noise that is allowed for is therefore
+        well within the margin that the law keeps for the same declared error (`law.SIGMAS`).
+        """
         passed_s = other.at_s - self.at_s
         (n, e, d), (vn, ve, vd) = self.position, self.velocity
         (on, oe, od), (ovn, ove, ovd) = other.position, other.velocity
         # Timestamps are the sender's: only the time that passed here leaves room for a manoeuvre.
         room_s = min(abs(passed_s), abs(other.told_s - self.told_s))
         bent_m = 2.0 + 0.5 * _GENTLE_MPS2 * room_s * room_s
-        noise_m = 3.0 * math.sqrt(self.sigma_m * self.sigma_m + other.sigma_m * other.sigma_m)
+        noise_m = _NOISE * math.sqrt(self.sigma_m * self.sigma_m + other.sigma_m * other.sigma_m)
         if math.hypot(on - n - passed_s * vn, oe - e - passed_s * ve) > bent_m + noise_m:
             return False
         if self.vertical_known and other.vertical_known:
@@ -157,6 +161,8 @@ def hold(beliefs: list[Belief], told: Belief, now_s: float, least_s: float) -> N
 
 
 _GENTLE_MPS2, _GENTLE_MPS = 5.0, 2.5
+_NOISE = 2.0
+"""Standard deviations of both positions by which two states may differ and agree."""
 
 
 def belief_of(fix: Fix, velocity: Vec3, now_s: float) -> Belief:

@@ -24,7 +24,13 @@ PHASE = random.Random(1).random()
 
 
 def bend(
-    step_m: Vec3, step_mps: Vec3, count: int = 1, *, own_address: bool = True, lead_s: float = 0.0
+    step_m: Vec3,
+    step_mps: Vec3,
+    count: int = 1,
+    *,
+    own_address: bool = True,
+    lead_s: float = 0.0,
+    accuracy_m: float = 3.0,
 ) -> Attack:
     """Messages in the honest aircraft's name, 0.1 s after each of its own: the first is by one step off its
     place and velocity, each other one by a step more."""
@@ -38,7 +44,7 @@ def bend(
         place = tuple(p + k * s for p, s in zip(sky.honest, step_m, strict=True))
         velocity = tuple(v + k * s for v, s in zip(sky.honest_velocity, step_mps, strict=True))
         address = ADDRESS if own_address else f"02:00:00:00:00:{next(numbers):02x}"
-        sky.send(NAME, address, place, velocity, lead_s)
+        sky.send(NAME, address, place, velocity, lead_s, accuracy_m)
 
     return attack
 
@@ -71,10 +77,19 @@ def test_no_message_hides_an_aircraft_by_bending_its_track(attack, own_mps, othe
     assert fly(attack, own_mps, other_mps, angle_deg, meet_s=25.0).least_m > KEPT_M
 
 
-def test_a_wall_of_sixteen_ghosts_beside_it_leads_to_no_hit():
-    """Between them and the honest aircraft the law divides the violation."""
-    attack = bend((0.0, 12.0, 0.0), (0.0, 3.0, 0.0), 18)
-    assert fly(attack, 6.0, 12.0, 180.0, meet_s=25.0).least_m > 0.5 * KEPT_M
+@pytest.mark.parametrize("aside_m", [9.0, 12.0, 14.0])
+@pytest.mark.parametrize("count", [1, 18])
+def test_ghosts_beside_it_do_not_take_its_place(aside_m, count):
+    """Each of their states nearly agrees with the one before it."""
+    attack = bend((0.0, aside_m, 0.0), (0.0, 2.9, 0.0), count)
+    assert fly(attack, 6.0, 12.0, 180.0, meet_s=25.0).least_m > KEPT_M
+
+
+@pytest.mark.parametrize("aside_m", [20.0, 30.0, 36.0, 43.0])
+def test_a_ghost_of_poor_accuracy_does_not_take_its_place(aside_m):
+    """What differs by as much as three standard deviations of both would be passed where the aircraft is."""
+    attack = bend((0.0, aside_m, 0.0), (0.0, 2.9, 0.0), accuracy_m=10.0)
+    assert fly(attack, 6.0, 12.0, 180.0, meet_s=25.0).least_m > KEPT_M
 
 
 def test_what_a_message_said_is_believed_until_its_sender_is_silent():
