@@ -175,7 +175,7 @@ def test_a_failsafe_of_the_autopilot_is_obeyed_like_the_pilot(firmware, paramete
 TWO = "DMUCA: two autopilots on this link (systems 1 and 2): set vehicle.system_id"
 
 
-def routed(sky, done, limit_s=90.0):
+def routed(sky, done, limit_s=120.0):
     """Until `done`, with a router that joins the first aircraft's companion and the second one's vehicle."""
     one, two = sky.aircraft
     end = sky.now_s + limit_s

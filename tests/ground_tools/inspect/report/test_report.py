@@ -140,7 +140,7 @@ def test_every_plot_and_manoeuvre_is_there(guard: SimpleNamespace) -> None:
     assert [t for t in titles if f"<h2>{t}</h2>" not in text] == []
     assert found.tags.count("svg") == 8  # seven plots and one velocity space
     words = "".join(found.words)
-    assert "would have led within 1.0 m of TWO in 31.0 s" in words
+    assert "would have led within 1.0 m of TWO in 31.8 s" in words
     assert "turn right by 15 deg" in words
     assert "break-inside: avoid" in text
     assert text.count("<svg") == text.count("</svg>")
