@@ -39,9 +39,9 @@ from companion.laws import kind_of
 OLDEST_S = 15.0
 """Neighbours whose message is older than this are ignored."""
 LEAST_MARGIN_M = 2.0
-SIGMAS = 3.8
+SIGMAS = 4.0
 """Margin for accuracy in standard deviations of the relative horizontal error; the margin is at least
-LEAST_MARGIN_M. The error of two axes exceeds it with probability exp(-3.8^2 / 2) = 0.07 %."""
+LEAST_MARGIN_M. The error of two axes exceeds it with probability exp(-4^2 / 2) = 0.03 %."""
 QUANTUM_MPS = 0.2
 """Error of a velocity due to Remote ID's resolution: 0.25 m/s, 1 degree, and 0.5 m/s vertically (scaled by
 0.85)."""

@@ -70,7 +70,7 @@ def neighbours_of(
         (loss_s(belief), f"{other.track_id}{ASIDE}{number}", other, belief)
         for other, track in zip(present, tracks, strict=True)
         for number, belief in enumerate(track.aside, 1)
-        if now_s - belief.agreed_s <= track.silent_after_s
+        if now_s - belief.agreed_s <= track.believed_s
     ]
     if len(aside) > _MOST_ASIDE:
         aside = heapq.nsmallest(_MOST_ASIDE, aside, key=itemgetter(0, 1))

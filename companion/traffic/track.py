@@ -28,6 +28,8 @@ _LEADING_S = 1.5
 _QUANTUM_S = 0.1
 """Resolution of a timestamp."""
 _DECLARED_S = 2.0
+_LASTING_S = 1.3
+"""How much longer than a silence a contradicted state is believed, so that one lost message hides nobody."""
 _BELIEFS = 4
 """Most states that a track is believed to be in. The least urgent one is given up."""
 HIGH_M = 10.0
@@ -230,7 +232,7 @@ class Track:
             taken: the track took the message for its present state; it may be older than that.
         """
         told = belief_of(fix, self.velocity_ned_mps, now_s)
-        beliefs = [b for b in self.beliefs if now_s - b.agreed_s <= self.silent_after_s]
+        beliefs = [b for b in self.beliefs if now_s - b.agreed_s <= self.believed_s]
         contradicted = self.present is not None and not self.present.agrees(told)
         if self.present is not None and contradicted and taken:
             hold(beliefs, self.present, now_s, 0.0)
@@ -298,6 +300,11 @@ class Track:
             self.wander = replace(other.wander)
             growth = other.past.growth_mps, other.past.growth_down_mps
             self.past = self.past._replace(growth_mps=growth[0], growth_down_mps=growth[1])
+
+    @property
+    def believed_s(self) -> float:
+        """How long (s) a state is believed from the last message that agreed with it."""
+        return self.silent_after_s + _LASTING_S
 
     @property
     def flags(self) -> frozenset[Flag]:

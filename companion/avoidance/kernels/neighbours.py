@@ -34,14 +34,14 @@ USUAL_M, USUAL_MPS, USUAL_S = 0.6, 0.9, 4.0
 declared and three seconds it is 4.5 m, the way of an aircraft that gives way with 1 m/s^2."""
 GROWTH_FACTOR = 2.5
 """Growth for each metre per second of further deviation."""
-GROWTH_MEMORY_S = 40.0
+GROWTH_MEMORY_S = 60.0
 """Time constant with which the growth of a track fades."""
 GROWTH_MOST_MPS = 3.0
 GROWTH_AHEAD_S = 4.0
 """The growth of a track applies to the time from its message to this long after now."""
-SILENT_S, SILENT_GAPS = 2.0, 1.5
-"""A track may have stopped if nothing was received for SILENT_S plus SILENT_GAPS times its longest recent gap
-(at least 1 s). With one message a second, delays that differ by a second already make gaps of 2 s."""
+SILENT_GAPS = 2.2
+"""A track may have stopped if nothing was received for this many of its longest recent gaps (at least 1 s).
+With one message a second, delays that differ by a second already make gaps of 2 s."""
 GAP_MEMORY_S = 60.0
 """Time constant with which the longest gap of a track fades."""
 PASSING_M = 5.0
@@ -166,7 +166,7 @@ def note_track(
 
     A neighbour that manoeuvres is not where its message of some three seconds ago predicts. The distance from
     there, minus what noise and giving way explain, divided by the time between both messages, is a speed. The
-    growth is 2.5 times the largest such speed lately, halved every 28 s. It is learnt for the horizontal
+    growth is 2.5 times the largest such speed lately, halved every 42 s. It is learnt for the horizontal
     position and for the height separately: an aircraft that turns and keeps its height can be passed above or
     below.
 
@@ -207,7 +207,7 @@ def silent_after(gap_s: float) -> float:
     Args:
         gap_s: `Past.gap_s`.
     """
-    return SILENT_S + SILENT_GAPS * max(gap_s, 1.0)
+    return SILENT_GAPS * max(gap_s, 1.0)
 
 
 @compiled

@@ -251,7 +251,7 @@ def test_alone_it_flies_the_path() -> None:
 
 
 def test_radius_grows_with_error_and_age() -> None:
-    later = 10 + 3.8 * math.sqrt(1.5**2 + 1.5**2 + (0.3 * 2.0) ** 2) + 0.2 * 2.0
+    later = 10 + 4.0 * math.sqrt(1.5**2 + 1.5**2 + (0.3 * 2.0) ** 2) + 0.2 * 2.0
     for sigma, age, radius in ((0.0, 0.0, 12.0), (1.5, 2.0, later)):
         one = situation(others=[other((300.0, 90.0, -50.0), age=age, sigma_m=sigma)], sigma_m=sigma)
         assert law().decide(one).tracks[0].radius_m == pytest.approx(radius)

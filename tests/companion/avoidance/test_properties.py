@@ -331,7 +331,7 @@ def test_two_with_the_same_data_part(seed: int) -> None:
     np.testing.assert_allclose(normals[0], -normals[1], atol=1e-12)
     relative = found[0] - found[1]
     assert normals[0] @ relative >= sum(offsets) - 1e-9
-    still = 10.0 + 3.8 * math.hypot(math.hypot(1.5, 1.5), 0.3 * age)
+    still = 10.0 + 4.0 * math.hypot(math.hypot(1.5, 1.5), 0.3 * age)
     radius = still + max(0.2 * age, growth * (age + 4.0))
     scaled = np.array([1.0, 1.0, radius / ((still + 0.2 * age) / 0.85)])
     if np.linalg.norm(p * scaled) > radius:

@@ -76,7 +76,7 @@ def test_who_is_on_another_planet_is_left_out(north_m: float, used: bool) -> Non
 
 
 @pytest.mark.parametrize(
-    ("sigma_m", "margin_m"), [(0.0, 2.0), (0.5, 2.0), (0.6, 0.6 * 3.8), (3.0, 3.0 * 3.8)]
+    ("sigma_m", "margin_m"), [(0.0, 2.0), (0.5, 2.0), (0.6, 0.6 * 4.0), (3.0, 3.0 * 4.0)]
 )
 def test_the_margin_is_a_number_of_deviations_and_at_least_two_metres(
     sigma_m: float, margin_m: float

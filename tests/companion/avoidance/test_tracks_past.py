@@ -48,8 +48,8 @@ def test_growth_by_hand() -> None:
     assert track.past.growth_mps == pytest.approx(2.5, rel=1e-12)
     assert track.past.growth_down_mps == pytest.approx(1.0, rel=1e-12)
     note(track, 16.0, (21.0, 12.3, -4.5), (3, 2, 0))  # on its prediction
-    assert track.past.growth_mps == pytest.approx(2.5 * math.exp(-3.0 / 40.0), rel=1e-12)
-    assert track.past.growth_down_mps == pytest.approx(math.exp(-3.0 / 40.0), rel=1e-12)
+    assert track.past.growth_mps == pytest.approx(2.5 * math.exp(-3.0 / 60.0), rel=1e-12)
+    assert track.past.growth_down_mps == pytest.approx(math.exp(-3.0 / 60.0), rel=1e-12)
 
 
 def test_what_is_usual_grows_with_the_declared_error_and_up_to_four_seconds() -> None:
@@ -94,7 +94,7 @@ def test_growth_decays_by_half_in_28_s() -> None:
     track = after_turn()
     for second in range(3, 31):
         note(track, 13.0 + second, (12.0 + 3 * second, 6.3 + 2 * second, -4.5), (3, 2, 0))
-    assert track.past.growth_mps == pytest.approx(2.5 * math.exp(-30.0 / 40.0), rel=1e-9)
+    assert track.past.growth_mps == pytest.approx(2.5 * math.exp(-30.0 / 60.0), rel=1e-9)
 
 
 @pytest.mark.parametrize("t", [13.5, 13.89, 13.0, 12.5, -100.0, math.nan])
@@ -130,9 +130,9 @@ def test_the_longest_gap_lately() -> None:
     assert gaps == pytest.approx([0.0, 1.0, 3.0, three, three * math.exp(-2.0 / 60.0)], rel=1e-12)
 
 
-@pytest.mark.parametrize(("gap_s", "silent_s"), [(0.95, 3.5), (1.0, 3.5), (2.0, 5.0), (4.0, 8.0)])
+@pytest.mark.parametrize(("gap_s", "silent_s"), [(0.95, 2.2), (1.0, 2.2), (2.0, 4.4), (4.0, 8.8)])
 def test_silence_is_told_by_the_link(gap_s: float, silent_s: float) -> None:
-    """2 s and one and a half times the longest gap: 3.5 s once a second, 8 s where every 4th is heard."""
+    """2.2 times the longest gap: 2.2 s once a second, 8.8 s where every 4th is heard."""
     track = Track()
     for number in range(10):
         note(track, gap_s * number, (0, 0, 0), (0, 0, 0))
@@ -143,10 +143,10 @@ def test_a_bad_spell_of_the_link_is_forgotten() -> None:
     track = Track()
     for t in (0.0, 1.0, 7.0):
         note(track, t, (0, 0, 0), (0, 0, 0))
-    assert k.silent_after(track.past.gap_s) == pytest.approx(2.0 + 1.5 * 6.0)
+    assert k.silent_after(track.past.gap_s) == pytest.approx(2.2 * 6.0)
     for t in range(8, 248):
         note(track, t, (0, 0, 0), (0, 0, 0))
-    assert k.silent_after(track.past.gap_s) == pytest.approx(3.5)
+    assert k.silent_after(track.past.gap_s) == pytest.approx(2.2)
 
 
 @pytest.mark.parametrize(

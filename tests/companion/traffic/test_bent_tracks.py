@@ -101,9 +101,8 @@ def test_what_a_message_said_is_believed_until_its_sender_is_silent():
     (track,) = listener.traffic.tracks.values()
     names = [n.track_id for n in listener.traffic.neighbours(19.5)]
     assert names == ["X", f"X{ASIDE}1"]
-    # A gap of a second: silent after 3.5 s.
-    assert len(listener.traffic.neighbours(19.2 + track.silent_after_s)) == 2
-    assert len(listener.traffic.neighbours(19.5 + track.silent_after_s)) == 1
+    assert len(listener.traffic.neighbours(19.2 + track.believed_s)) == 2
+    assert len(listener.traffic.neighbours(19.5 + track.believed_s)) == 1
 
 
 @pytest.mark.parametrize("offset_m", [10.0, 18.0])

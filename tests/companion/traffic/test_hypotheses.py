@@ -124,7 +124,7 @@ def test_two_that_are_too_near_for_two_tracks_make_one_of_a_larger_error():
         fly(listener, straight() if k % 5 == 0 else aside(17.0), [now_s], delay_s=0.1)
         if k > 60:
             track, *_ = listener.traffic.neighbours(now_s + 0.1)
-            assert 3.8 * track.sigma_m >= 3.8 * 3.0 + 12.0
+            assert 4.0 * track.sigma_m >= 4.0 * 3.0 + 12.0
             assert nearest_m(listener, straight(), now_s + 0.1) < 3.0
     fly(listener, straight(), seconds(80, 40.0))
     (only,) = [n for n in listener.traffic.neighbours(119.0) if n.age_s < 5.0]
