@@ -70,6 +70,19 @@ def test_a_height_that_comes_and_goes_is_no_manoeuvre(unknown):
     for number, at_s in enumerate(seconds(30)):
         fly(listener, straight(), [at_s], **(unknown if number // 5 % 2 else {}))
     assert neighbour(listener).growth_mps == 0.0
+    assert neighbour(listener).growth_down_mps == 0.0
+
+
+@pytest.mark.parametrize("often", range(1, 8))
+@pytest.mark.parametrize("sinks_mps", [-5.0, 2.0, 10.0])
+def test_a_declared_climb_whose_height_comes_and_goes_is_no_manoeuvre(sinks_mps, often):
+    """It becomes known or unknown between the messages that are compared, three seconds apart."""
+    listener = Listener()
+    for number, at_s in enumerate(seconds(30)):
+        height = {"alt_geodetic_m": 597.0 - sinks_mps * (at_s - 10.0), "vertical_speed_mps": -sinks_mps}
+        unknown = {"vertical_accuracy_m": 45.0} if number // often % 2 else {}
+        fly(listener, straight(), [at_s], **height, **unknown)
+        assert neighbour(listener, at_s + 0.2).growth_down_mps == 0.0
 
 
 def test_a_turn_is_seen_also_without_height():
