@@ -187,3 +187,17 @@ def test_a_first_message_says_nothing_of_the_past():
     listener.hear(10.2, location(straight(), 10.0))
     assert neighbour(listener, 10.2).growth_mps == 0.0
     assert_silent_after(listener, 10.2, 3.5)
+
+
+@pytest.mark.parametrize(("steps_m", "threat"), [(0.0, False), (20.0, True)])
+def test_one_whose_height_is_unpredictable_is_a_threat_farther_above(steps_m, threat):
+    """It passes 42 m above, and its height leaps every six seconds: the law keeps clear of as much."""
+    listener = Listener()
+    for number, at_s in enumerate(seconds(32)):
+        listener.traffic.note_own(at_s, (200.0, -300.0 + 15.0 * (at_s - 10.0) + 60.0, -20.0), (0.0, 12.0, 0.0))
+        height = {"alt_geodetic_m": 447.0 + 62.0 + (steps_m if number // 6 % 2 else 0.0)}
+        fly(listener, straight(), [at_s], **height)
+    (track,) = listener.traffic.tracks.values()
+    assert track.past.growth_mps == 0.0
+    assert (track.past.growth_down_mps > 2.0) is threat
+    assert (track.threat_s > 0.0) is threat
