@@ -208,7 +208,8 @@ class Track:
         at_s = self.sample_s if fix.stamp_s is None else fix.stamp_s
         down, sinking = (p[2], v[2]) if self.vertical_known else (0.0, 0.0)
         if self.vertical_known != self.past_vertical:
-            # A height that becomes known or unknown is no manoeuvre: this message also tells from where it came.
+            # A height that becomes known or unknown is no manoeuvre. Where the aircraft came from is told by
+            # this message too.
             passed = at_s - past.since_s
             since_d = down - passed * sinking if passed < math.inf else down
             past = past._replace(d=down, vd=0.0, since_d=since_d, since_vd=sinking)

@@ -194,7 +194,9 @@ def test_one_whose_height_is_unpredictable_is_a_threat_farther_above(steps_m, th
     """It passes 42 m above, and its height leaps every six seconds: the law keeps clear of as much."""
     listener = Listener()
     for number, at_s in enumerate(seconds(32)):
-        listener.traffic.note_own(at_s, (200.0, -300.0 + 15.0 * (at_s - 10.0) + 60.0, -20.0), (0.0, 12.0, 0.0))
+        listener.traffic.note_own(
+            at_s, (200.0, -300.0 + 15.0 * (at_s - 10.0) + 60.0, -20.0), (0.0, 12.0, 0.0)
+        )
         height = {"alt_geodetic_m": 447.0 + 62.0 + (steps_m if number // 6 % 2 else 0.0)}
         fly(listener, straight(), [at_s], **height)
     (track,) = listener.traffic.tracks.values()
