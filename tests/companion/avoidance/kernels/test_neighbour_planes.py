@@ -141,6 +141,7 @@ def test_an_unknown_height_does_not_separate(known: float, conflict: bool, silen
     if not known:
         assert (planes[:, 2] == 0.0).all()
         assert seen.d == PLACE[2]
+        assert seen.distance_m == pytest.approx(1.0)
     else:
         assert (planes[:, 2] != 0.0).all()
         assert seen.d == pytest.approx(PLACE[2] - 78.0)
