@@ -131,8 +131,8 @@ class Belief(NamedTuple):
     def agrees(self, other: Belief) -> bool:
         """Whether this one predicts the other state, but for noise and a gentle manoeuvre.
 
-        Who forges a state that agrees with the true one replaces it. The noise that is allowed for is therefore
-        well within the margin that the law keeps for the same declared error (`law.SIGMAS`).
+        Who forges a state that agrees with the true one replaces it. The noise that is allowed for is
+        therefore well within the margin that the law keeps for the same declared error (`law.SIGMAS`).
         """
         passed_s = other.at_s - self.at_s
         (n, e, d), (vn, ve, vd) = self.position, self.velocity

@@ -124,7 +124,8 @@ class Table:
     def rank(self, track: Track, now_s: float) -> None:
         """Place a track where it stands now."""
         age_s = max(0.0, now_s - track.sample_s)
-        growth_m = track.past.growth_mps * (age_s + GROWTH_AHEAD_S) + track.wander.error_m
+        growth_mps = max(track.past.growth_mps, track.past.growth_down_mps)
+        growth_m = growth_mps * (age_s + GROWTH_AHEAD_S) + track.wander.error_m
         motion = Motion(
             track.position_ned_m,
             track.velocity_ned_mps,

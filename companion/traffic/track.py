@@ -207,12 +207,15 @@ class Track:
         clocked = fix.stamp_s is not None
         if clocked != self.past_clocked:
             past, self.past_clocked = past._replace(time_s=-math.inf, since_s=-math.inf), clocked
+        at_s = self.sample_s if fix.stamp_s is None else fix.stamp_s
         down, sinking = (p[2], v[2]) if self.vertical_known else (0.0, 0.0)
         if self.vertical_known != self.past_vertical:
-            # A height that becomes known or unknown is no manoeuvre.
-            past = past._replace(d=down, vd=0.0, since_d=down, since_vd=0.0)
+            # A height that becomes known or unknown is no manoeuvre. Where the aircraft came from is told by
+            # this message too.
+            passed = at_s - past.since_s
+            since_d = down - passed * sinking if passed < math.inf else down
+            past = past._replace(d=down, vd=0.0, since_d=since_d, since_vd=sinking)
             self.past_vertical = self.vertical_known
-        at_s = self.sample_s if fix.stamp_s is None else fix.stamp_s
         sigma = self.sigma_m if clocked else math.hypot(self.sigma_m, _CLOCKLESS_S * math.hypot(*v))
         if self.earlier is None or abs(self.sample_s - self.earlier.at_s) >= _EARLIER_S:
             height_m = height_error_m(fix.content)

@@ -328,6 +328,13 @@ def _right_of(course: Vector, point: Vector) -> float:
 
 
 @compiled
+def _passes_right(wanted: Vector, away: Vector, velocity: Vector) -> bool:
+    """Whether what moves by a relative motion (`closest`) passes on our right."""
+    t, _ = closest(away, velocity, 1e6)
+    return _right_of(wanted, along(away, -t, velocity)) > PASSING_M
+
+
+@compiled
 def neighbour_planes(
     neighbours: Floats, count: int, own: Own, wanted: Vector, settings: Settings, history: History,
     samples: int, planes: Floats, first: int, seen: Floats, asked: Floats,
@@ -361,6 +368,7 @@ def neighbour_planes(
             away, closing_d, wish = Vector(away.n, away.e, 0.0), 0.0, Vector(wish.n, wish.e, 0.0)
         look_s = max(settings.look_s, volume.horizon_s)
         breaks = _enters(away, wish, volume, look_s)
+        on_right = on_right or (breaks and _passes_right(wanted, away, wish))
         t, near2 = closest(away, wish, 1e6)
         relative = Relative(away, velocity, then, closing_d)
         plane = _plane_of(relative, volume, settings.overlap_s, other.share, most)
@@ -374,13 +382,14 @@ def neighbour_planes(
             wish, closing_d = wanted, own.velocity.d
             if level:
                 stood, wish, closing_d = Vector(stood.n, stood.e, 0.0), Vector(wish.n, wish.e, 0.0), 0.0
-            breaks = breaks or _enters(stood, wish, volume, look_s)
+            stands = _enters(stood, wish, volume, look_s)
+            breaks = breaks or stands
+            on_right = on_right or (stands and _passes_right(wanted, stood, wish))
             relative = Relative(stood, Vector(0.0, 0.0, 0.0), own.velocity, closing_d)
             plane = _plane_of(relative, volume, settings.overlap_s, other.share, most)
             _put_asked(asked, j, 1, plane, planes, at)
             at += 1
         conflict = conflict or breaks
-        on_right = on_right or (breaks and _right_of(wanted, along(away, -t, wish)) > PASSING_M)
         seen[j, 0], seen[j, 1] = own.position.n + away.n, own.position.e + away.e
         seen[j, 2] = own.position.d + away.d
         seen[j, 3], seen[j, 4] = volume.radius, 1.0 if breaks else 0.0

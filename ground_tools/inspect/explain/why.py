@@ -289,7 +289,9 @@ class Explainer:
             if nearest is None or near2 < nearest[0]:
                 nearest = near2, t, track.track_id
             scale = separation_m(self._avoidance, crewed)[1]
-            if self._avoidance.law == "paper":
+            if track.height_m > 0.0:
+                scale = track.radius_m / track.height_m
+            elif self._avoidance.law == "paper":
                 scale = 1.0
             away[2], closing[2] = scale * away[2], scale * closing[2]
             _, near2 = k.closest(k.Vector(*away), k.Vector(*closing), look)

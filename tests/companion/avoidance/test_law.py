@@ -321,7 +321,11 @@ def test_after_a_pause_the_command_starts_from_the_velocity_flown() -> None:
 
 
 def paper(**keys: Any) -> Law:
-    return law("paper", limits=LimitsConfig(max_acceleration_mps2=20.0), **{"n_noncollide": 3, "recovery_time_s": 10.0, **keys})
+    return law(
+        "paper",
+        limits=LimitsConfig(max_acceleration_mps2=20.0),
+        **{"n_noncollide": 3, "recovery_time_s": 10.0, **keys},
+    )
 
 
 def test_paper_recovery_ahead_of_the_path() -> None:

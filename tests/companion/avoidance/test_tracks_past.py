@@ -37,8 +37,8 @@ def after_turn() -> Track:
 
 def test_the_first_message_says_nothing() -> None:
     track = Track()
-    assert note(track, 10.0, (3, -4, 5), (9, 9, 9)) == 0.0
-    message = [10.0, 3, -4, 5, 9, 9, 9]
+    assert note(track, 10.0, (3, -4, 5), (9, 8, 7)) == 0.0
+    message = [10.0, 3, -4, 5, 9, 8, 7]
     np.testing.assert_array_equal(track.past, [*message, 0.0, 0.0, 0.0, *message])
 
 
@@ -95,6 +95,20 @@ def test_growth_decays_by_half_in_28_s() -> None:
     for second in range(3, 31):
         note(track, 13.0 + second, (12.0 + 3 * second, 6.3 + 2 * second, -4.5), (3, 2, 0))
     assert track.past.growth_mps == pytest.approx(2.5 * math.exp(-30.0 / 60.0), rel=1e-9)
+
+
+def test_between_the_messages_that_are_compared_only_the_newest_is_kept() -> None:
+    """Those of a second ago lead to the gap and to a velocity from positions, but to no growth."""
+    track = Track()
+    note(track, 10.0, (0, 0, 0), (4, 0, 0))
+    for t in (10.9, 12.8):
+        assert note(track, t, (40.0, 60.0 + t, -50.0), (1, 2, 3)) == 0.0
+        assert track.past.growth_down_mps == 0.0
+        np.testing.assert_array_equal(track.past[:7], [t, 40.0, 60.0 + t, -50.0, 1, 2, 3])
+        np.testing.assert_array_equal(track.past[10:], [10.0, 0, 0, 0, 4, 0, 0])
+    assert track.past.gap_s == pytest.approx(1.9)
+    assert note(track, 14.0, (40.0, 60.0, -50.0), (1, 2, 3)) == k.GROWTH_MOST_MPS
+    np.testing.assert_array_equal(track.past[10:], [14.0, 40.0, 60.0, -50.0, 1, 2, 3])
 
 
 @pytest.mark.parametrize("t", [13.5, 13.89, 13.0, 12.5, -100.0, math.nan])

@@ -70,6 +70,19 @@ def test_a_height_that_comes_and_goes_is_no_manoeuvre(unknown):
     for number, at_s in enumerate(seconds(30)):
         fly(listener, straight(), [at_s], **(unknown if number // 5 % 2 else {}))
     assert neighbour(listener).growth_mps == 0.0
+    assert neighbour(listener).growth_down_mps == 0.0
+
+
+@pytest.mark.parametrize("often", range(1, 8))
+@pytest.mark.parametrize("sinks_mps", [-5.0, 2.0, 10.0])
+def test_a_declared_climb_whose_height_comes_and_goes_is_no_manoeuvre(sinks_mps, often):
+    """It becomes known or unknown between the messages that are compared, three seconds apart."""
+    listener = Listener()
+    for number, at_s in enumerate(seconds(30)):
+        height = {"alt_geodetic_m": 597.0 - sinks_mps * (at_s - 10.0), "vertical_speed_mps": -sinks_mps}
+        unknown = {"vertical_accuracy_m": 45.0} if number // often % 2 else {}
+        fly(listener, straight(), [at_s], **height, **unknown)
+        assert neighbour(listener, at_s + 0.2).growth_down_mps == 0.0
 
 
 def test_a_turn_is_seen_also_without_height():
@@ -174,3 +187,19 @@ def test_a_first_message_says_nothing_of_the_past():
     listener.hear(10.2, location(straight(), 10.0))
     assert neighbour(listener, 10.2).growth_mps == 0.0
     assert_silent_after(listener, 10.2, 2.2)
+
+
+@pytest.mark.parametrize(("steps_m", "threat"), [(0.0, False), (20.0, True)])
+def test_one_whose_height_is_unpredictable_is_a_threat_farther_above(steps_m, threat):
+    """It passes 42 m above, and its height leaps every six seconds: the law keeps clear of as much."""
+    listener = Listener()
+    for number, at_s in enumerate(seconds(32)):
+        listener.traffic.note_own(
+            at_s, (200.0, -300.0 + 15.0 * (at_s - 10.0) + 60.0, -20.0), (0.0, 12.0, 0.0)
+        )
+        height = {"alt_geodetic_m": 447.0 + 62.0 + (steps_m if number // 6 % 2 else 0.0)}
+        fly(listener, straight(), [at_s], **height)
+    (track,) = listener.traffic.tracks.values()
+    assert track.past.growth_mps == 0.0
+    assert (track.past.growth_down_mps > 2.0) is threat
+    assert (track.threat_s > 0.0) is threat

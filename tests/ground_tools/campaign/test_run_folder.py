@@ -64,9 +64,14 @@ def test_the_record_shows_what_the_law_decides(look, run):
                 if j != i:
                     heard.append(
                         Neighbour(
-                            NAMES[j], place, velocity, other.age_s, *errors, other.silent == 1.0,
+                            NAMES[j],
+                            place,
+                            velocity,
+                            other.age_s,
+                            *errors,
+                            other.silent == 1.0,
                             growth_down_mps=other.growth_down_mps,
-                        )  # fmt: skip
+                        )
                     )
             now, world = float(own.time_s), look.world
             view = Situation(

@@ -34,7 +34,7 @@ class Sky:
         self.quiet = set()
         """Tracks that are in no conflict."""
 
-    def run(self, seconds, *others, radius_m=10.0, held=True, back=False):
+    def run(self, seconds, *others, radius_m=10.0, height_m=0.0, held=True, back=False):
         """Names of the tracks that were avoided at the end."""
         admitted = []
         for _ in range(round(seconds / 0.2)):
@@ -54,6 +54,7 @@ class Sky:
                     track_id=o.track_id, position_ned_m=o.position_ned_m, velocity_ned_mps=o.velocity_ned_mps,
                     age_s=0.0, radius_m=radius_m, conflict=o.track_id not in self.quiet,
                     time_to_closest_s=5.0, closest_m=0.0, active=o.track_id not in self.quiet, adsb=o.adsb,
+                    height_m=height_m,
                 )
                 for o in admitted
             )  # fmt: skip
@@ -107,6 +108,24 @@ def test_inside_its_volume_a_track_has_less():
     near = other("A", at=(-10.0, 0.0, 0.0))
     assert sky.run(19.0, near, radius_m=30.0) == ["A"]
     assert sky.run(2.0, other("A", at=(-5.0, 0.0, 0.0)), radius_m=30.0) == []
+
+
+@pytest.mark.parametrize(
+    ("radius_m", "height_m", "above_m", "inside"),
+    [
+        (60.0, 15.0, 14.0, True),
+        (60.0, 15.0, 16.0, False),
+        (15.0, 60.0, 59.0, True),
+        (15.0, 60.0, 61.0, False),
+        # A law of a plug-in tells no height: 1 / 0.85 as tall as wide.
+        (17.0, 0.0, 19.9, True),
+        (17.0, 0.0, 20.1, False),
+    ],
+)
+def test_a_volume_is_as_tall_as_the_law_has_it(radius_m, height_m, above_m, inside):
+    sky = Sky()
+    above = other("A", at=(0.0, 0.0, -above_m), velocity=ZERO)
+    assert sky.run(22.0, above, radius_m=radius_m, height_m=height_m) == ([] if inside else ["A"])
 
 
 def test_a_new_name_inside_takes_over_what_the_last_one_used():

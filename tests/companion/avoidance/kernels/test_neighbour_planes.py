@@ -22,10 +22,11 @@ EAST_THEN_NORTH = [(40.0, EAST), (47.0, EAST), (47.5, NORTH), (50.0, NORTH)]
 """Own velocities by time."""
 
 
-def planes_of(
+def asked_of(
     *neighbours: k.Other, wanted: Any = (2.0, 0.0, 0.0), first: int = 3, **avoidance: Any
-) -> tuple[np.ndarray, list[k.Seen], np.ndarray, bool]:
-    """The rows of planes, the reports, what each asks for, and whether there is a conflict."""
+) -> tuple[np.ndarray, list[k.Seen], np.ndarray, bool, bool]:
+    """The rows of planes, the reports, what each asks for, whether there is a conflict, and whether one of
+    those in conflict passes on our right."""
     settings = settings_of(AvoidanceConfig(**avoidance), LimitsConfig(), PATH)
     own = k.Own(k.Vector(*PLACE), k.Vector(2.0, 0.0, 0.0), 0.0, NOW_S, NOW_S, math.inf, -math.inf)
     history = k.History(np.array([t for t, _ in EAST_THEN_NORTH]), np.array([v for _, v in EAST_THEN_NORTH]))
@@ -35,14 +36,24 @@ def planes_of(
     work = k.workspace(0, len(neighbours))
     work.planes[:] = np.nan
     work.asked[:] = np.nan
-    after, conflict, _ = neighbour_planes(
+    after, conflict, on_right = neighbour_planes(
         table, len(neighbours), own, k.Vector(*wanted), settings, history, len(EAST_THEN_NORTH),
         work.planes, first, work.seen, work.asked,
     )  # fmt: skip
     assert np.isnan(work.planes[:first]).all()
     assert np.isnan(work.planes[after:]).all()
     seen = [k.seen_at(work.seen, row) for row in range(len(neighbours))]
-    return work.planes[first:after], seen, work.asked, bool(conflict)
+    return work.planes[first:after], seen, work.asked, bool(conflict), bool(on_right)
+
+
+def planes_of(*neighbours: k.Other, **more: Any) -> tuple[np.ndarray, list[k.Seen], np.ndarray, bool]:
+    """The same without the last."""
+    return asked_of(*neighbours, **more)[:4]
+
+
+def on_right(*neighbours: k.Other, **more: Any) -> bool:
+    """Whether one of those in conflict passes on our right."""
+    return asked_of(*neighbours, **more)[4]
 
 
 def other(position: Any, velocity: Any = (0.0, 0.0, 0.0), age_s: float = 0.0, **more: float) -> k.Other:
@@ -130,6 +141,7 @@ def test_an_unknown_height_does_not_separate(known: float, conflict: bool, silen
     if not known:
         assert (planes[:, 2] == 0.0).all()
         assert seen.d == PLACE[2]
+        assert seen.distance_m == pytest.approx(1.0)
     else:
         assert (planes[:, 2] != 0.0).all()
         assert seen.d == pytest.approx(PLACE[2] - 78.0)
@@ -159,3 +171,71 @@ def test_crewed_aircraft_have_volumes_of_their_own() -> None:
     # Looked ahead for 90 s: at 2 m/s, 180 m and the radius.
     for north_m, conflict in ((323.0, True), (324.0, False)):
         assert planes_of(other((north_m, 0.0, 0.0), crewed=1.0), **sizes)[3] == conflict
+
+
+@pytest.mark.parametrize(("east_m", "right"), [(5.1, True), (4.9, False), (0.0, False), (-8.0, False)])
+@pytest.mark.parametrize("course", [0.0, 1.0, 2.5, -2.0])
+def test_one_that_comes_towards_us_passes_on_the_right_beyond_five_metres(
+    east_m: float, right: bool, course: float
+) -> None:
+    """Whatever our course is; `east_m` is to its right."""
+    ahead, aside = (math.cos(course), math.sin(course)), (-math.sin(course), math.cos(course))
+    n, e = (60.0 * a + east_m * b for a, b in zip(ahead, aside, strict=True))
+    meets = other((n, e, 1.0), (-2.0 * ahead[0], -2.0 * ahead[1], 0.5))
+    assert on_right(meets, wanted=(2.0 * ahead[0], 2.0 * ahead[1], 0.3)) is right
+
+
+@pytest.mark.parametrize(
+    ("place", "velocity", "right"),
+    # We fly north at 2 m/s. At the closest approach the other one lies where it passes, not where it is now.
+    [
+        ((40.0, 48.0), (0.0, -2.0), True),  # from the right, after us: 4 m north and 4 m east of us then
+        ((40.0, 32.0), (0.0, -2.0), False),  # from the right, before us
+        ((40.0, -32.0), (0.0, 2.0), True),  # from the left, before us
+        ((40.0, -48.0), (0.0, 2.0), False),
+        ((0.0, 10.0), (2.0, 0.0), True),  # abreast
+        ((0.0, -10.0), (2.0, 0.0), False),
+        ((-6.0, 7.0), (0.0, 0.0), True),  # behind us already, but within its volume
+    ],
+)
+def test_the_side_is_that_of_the_closest_approach(place: Any, velocity: Any, right: bool) -> None:
+    scaled = tuple(1.5 * value if abs(value) > 20.0 else value for value in place)
+    crossing = other((*scaled, 0.0), (*velocity, 0.0), growth_mps=1.0)
+    _, _, _, conflict, found = asked_of(crossing)
+    assert conflict
+    assert found is right
+
+
+def test_one_on_the_right_that_is_not_in_conflict_does_not_count() -> None:
+    ahead, aside = other((60.0, 0.0, 0.0), (-2.0, 0.0, 0.0)), other((60.0, 40.0, 0.0), (-2.0, 0.0, 0.0))
+    assert not on_right(ahead, aside)
+    assert on_right(ahead, other((60.0, 8.0, 0.0), (-2.0, 0.0, 0.0)))
+
+
+def test_without_a_course_nothing_is_on_the_right() -> None:
+    near = other((0.0, 8.0, 0.0))
+    assert on_right(near)
+    assert not on_right(near, wanted=(0.0, 0.0, 0.0))
+    assert not on_right(near, wanted=(0.0, 0.0, -1.0))
+
+
+@pytest.mark.parametrize("silent", [0.0, 1.0])
+@pytest.mark.parametrize(("east_m", "right"), [(52.0, True), (40.0, False)])
+def test_where_a_silent_one_passes_counts_as_for_any_other(silent: float, east_m: float, right: bool) -> None:
+    """From the right, 40 m ahead; where it may have stopped is off our way. With 40 m it would hit us, and a
+    turn to the right leads behind it."""
+    crossing = other((40.0, east_m + 8.0, 0.0), (0.0, -2.0, 0.0), 4.0, silent=silent, growth_mps=0.5)
+    _, _, _, conflict, found = asked_of(crossing)
+    assert conflict
+    assert found is right
+
+
+@pytest.mark.parametrize(("east_m", "right"), [(8.0, True), (2.0, False), (-8.0, False)])
+def test_the_side_of_the_place_where_a_silent_one_may_stand(east_m: float, right: bool) -> None:
+    """It crossed our way from right to left, or is about to; flying on, it is far away when we come there."""
+    stood_s = 7.0
+    crossing = other((40.0, east_m + 6.0, 0.0), (0.0, -6.0, 0.0), 1.0 + stood_s, silent=1.0)
+    _, (seen,), _, conflict, found = asked_of(crossing)
+    assert conflict
+    assert seen.e - PLACE[1] < -20.0
+    assert found is right

@@ -5,6 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from companion.avoidance import kernels as k
+from companion.avoidance.kernels.neighbours import volume_of
+from companion.avoidance.law import settings_of
+from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, Config, IdentityConfig, LimitsConfig
 from companion.core import Companion
 from companion.events import Decision, FenceArea
@@ -124,3 +128,37 @@ def test_a_fence_and_a_floor_exclude_too():
 def test_nobody_there_nothing_excluded():
     look = alternatives(decision(), CONFIG)
     assert all(one.closest_m is None and not one.excluded_by for one in look.alternatives)
+
+
+@pytest.mark.parametrize(
+    ("radius_m", "height_m", "above_m", "enters"),
+    [
+        # Wider by manoeuvres to the side, and no taller; and the other way round.
+        (40.0, 15.0, 14.0, True),
+        (40.0, 15.0, 16.0, False),
+        (14.0, 50.0, 49.0, True),
+        (14.0, 50.0, 51.0, False),
+        # Of a record that does not tell the height, 1 / 0.85 as tall as wide.
+        (17.0, 0.0, 19.9, True),
+        (17.0, 0.0, 20.1, False),
+    ],
+)
+def test_an_alternative_enters_a_volume_as_tall_as_it_was(radius_m, height_m, above_m, enters):
+    level = {"position_ned_m": (200.0, 0.0, -50.0 - above_m), "velocity_ned_mps": (-5.0, 0.0, 0.0)}
+    look = alternatives(decision(track(radius_m=radius_m, height_m=height_m, **level)), CONFIG)
+    assert named(look, "keep the").enters == (("TWO",) if enters else ())
+
+
+@pytest.mark.parametrize("crewed", [False, True])
+@pytest.mark.parametrize(("growth_mps", "growth_down_mps"), [(0.0, 0.0), (2.0, 0.0), (0.0, 3.0), (1.0, 2.5)])
+def test_the_volume_of_a_track_is_the_one_that_was_logged(crewed, growth_mps, growth_down_mps):
+    settings = settings_of(CONFIG.avoidance, CONFIG.limits, Trajectory([0.0, 1.0], [(0, 0, 0), (5, 0, 0)]))
+    own = k.Own(k.Vector(0, 0, -50), k.Vector(5, 0, 0), 1.5, 0.0, 0.0, math.inf, -math.inf)
+    growths = (0.0, 0.0) if crewed else (growth_mps, growth_down_mps)
+    there = k.Other(
+        200, 0, -51, -5, 0, 0, 1.5, 3.0, 0.4, growths[0], 0.0, 0.5, 1.0, float(crewed), growths[1]
+    )
+    flown = volume_of(there, own, settings)
+    view = track(radius_m=flown.radius, height_m=flown.radius / flown.scale, age_s=1.5, adsb=crewed)
+    again = Explainer(CONFIG)._neighbour(view, decision(view), 1.5)
+    assert volume_of(again, own, settings) == pytest.approx(flown)
