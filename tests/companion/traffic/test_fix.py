@@ -7,7 +7,7 @@ import math
 import pytest
 
 from companion.remote_id.messages import Location
-from companion.traffic.fix import make_fix
+from companion.traffic.fix import Belief, make_fix
 from tests.support.place import HOME
 
 SEPARATION_M = 47.0
@@ -127,3 +127,46 @@ def test_without_a_timestamp_or_our_utc_there_is_no_lead(unknown):
 def test_the_declared_velocity(speed_mps, direction_deg, climb_mps, velocity):
     fix = fix_of(speed_mps=speed_mps, direction_deg=direction_deg, vertical_speed_mps=climb_mps)
     assert fix.velocity == (None if velocity is None else pytest.approx(velocity, abs=1e-6))
+
+
+# ------------------------------------------------------------ states that agree
+
+
+def told(north_m=0.0, up_m=0.0, at_s=10.0, told_s=10.0, speed_mps=0.0, **more):
+    """A state declared to 3 m in both directions; it flies north."""
+    values = {"sigma_m": 3.0, "sigma_mps": 0.5, "vertical_known": True, "height_m": 3.0} | more
+    return Belief(at_s, told_s, told_s, (north_m, 0.0, -up_m), (speed_mps, 0.0, 0.0), **values)
+
+
+@pytest.mark.parametrize(
+    ("off", "agree"),
+    [
+        # Two standard deviations of both positions, 2 * 4.24 m, and 2 m: less than the 3.8 of the law.
+        ({"north_m": 10.4}, True),
+        ({"north_m": 10.6}, False),
+        ({"north_m": 6.6, "sigma_m": 0.0}, True),
+        ({"north_m": 8.1, "sigma_m": 0.0}, False),
+        # Twice both errors of the height, and 2 m.
+        ({"up_m": 13.9}, True),
+        ({"up_m": 14.1}, False),
+        ({"up_m": -14.1}, False),
+        ({"up_m": 9.9, "height_m": 1.0}, True),
+        ({"up_m": 10.1, "height_m": 1.0}, False),
+        ({"up_m": 500.0, "vertical_known": False}, True),
+        ({"speed_mps": 2.4}, True),
+        ({"speed_mps": 2.6}, False),
+        # In two seconds it may have manoeuvred with 5 m/s^2, if as much time passed here.
+        ({"north_m": 20.4, "at_s": 12.0, "told_s": 12.0}, True),
+        ({"north_m": 20.6, "at_s": 12.0, "told_s": 12.0}, False),
+        ({"north_m": 10.6, "at_s": 12.0}, False),
+        ({"north_m": 10.6, "told_s": 12.0}, False),
+    ],
+)
+def test_states_agree_within_noise_and_a_gentle_manoeuvre(off, agree):
+    assert told().agrees(told(**off)) is agree
+    assert told(**off).agrees(told()) is agree
+
+
+def test_a_state_is_compared_with_where_the_other_one_leads():
+    assert told(speed_mps=20.0).agrees(told(40.0, at_s=12.0, told_s=12.0, speed_mps=20.0))
+    assert not told(speed_mps=20.0).agrees(told(0.0, at_s=12.0, told_s=12.0, speed_mps=20.0))
