@@ -141,7 +141,7 @@ def told(north_m=0.0, up_m=0.0, at_s=10.0, told_s=10.0, speed_mps=0.0, **more):
 @pytest.mark.parametrize(
     ("off", "agree"),
     [
-        # Two standard deviations of both positions, 2 * 4.24 m, and 2 m: less than the 3.8 of the law.
+        # Two standard deviations of both positions, 2 * 4.24 m, and 2 m: half of what the law keeps.
         ({"north_m": 10.4}, True),
         ({"north_m": 10.6}, False),
         ({"north_m": 6.6, "sigma_m": 0.0}, True),
