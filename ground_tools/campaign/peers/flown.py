@@ -42,7 +42,8 @@ class Flown:
             own: settings of the companion's law for this aircraft.
             avoids: False: the aircraft flies its path only.
         """
-        own = own._replace(**self.changed)
+        if avoids:  # an intruder flies as it does beside the unchanged law
+            own = own._replace(**self.changed)
         if self.planned:
             return list(own._replace(law=kernels.NONE))
         if self.peer is None:

@@ -15,8 +15,8 @@ from ground_tools.campaign.tables import Line
 
 DELAY_S: Final = (2.0, 3.0)
 MISSION_DELAY_S: Final = (1.0, 2.0)
-BRISK: Final = "dmuca:acceleration_mps2=2,recovery_s=15"
-"""The companion's law with a larger limit of acceleration and a slower return, both configurable."""
+CALM: Final = "dmuca:acceleration_mps2=1,recovery_s=10"
+"""The companion's law with a smaller limit of acceleration and a faster return, both configurable."""
 WIDE: Final = "orca-constant:radius_m=22,horizon_s=20"
 """A larger constant radius than the search found, with more room for encounters that it did not try."""
 _OTHERS: Final = tuple(name for name in PEERS if name not in ("orca", "orca-constant"))
@@ -83,7 +83,7 @@ TABLES: Final[dict[str, Table]] = {
     ),
     "missions": Table(
         "one aircraft that avoids and one on a mission that does not, delays of 1 to 2 s",
-        ("none", "dmuca", BRISK, "orca-growth", WIDE, "mvp", "fly-away"),
+        ("none", "dmuca", CALM, "orca-growth", WIDE, "mvp", "fly-away"),
         _missions(),
         _hits,
         "flights with a pair below 10 m / below 2 m / median of each flight's largest deviation (m)",

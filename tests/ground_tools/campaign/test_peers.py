@@ -257,6 +257,14 @@ def test_a_changed_number_of_the_own_law():
     assert campaign.fly(replace(cell, law="dmuca:growth=0"), [1, 2]) != as_it_is
 
 
+def test_a_changed_number_is_not_an_intruders():
+    """Otherwise a larger acceleration of ours would come with intruders that turn less sharply."""
+    changed = flown.flown_by("dmuca:acceleration_mps2=1", campaign.LAWS)
+    as_it_is = flown.flown_by("dmuca", campaign.LAWS)
+    assert changed.settings(LIMITS, True) != as_it_is.settings(LIMITS, True)
+    assert changed.settings(LIMITS, False) == as_it_is.settings(LIMITS, False)
+
+
 def test_the_own_law_flies_as_it_is_kept():
     kept = tables.read(ROOT / "results" / "campaign" / "generators.json")
     for line in kept.lines[:4]:
