@@ -18,13 +18,17 @@ settings.register_profile("no wall clock", deadline=None)
 settings.load_profile("no wall clock")
 
 
-def pytest_configure() -> None:
-    """Keep the bytecode of modules, whatever the environment says.
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep the bytecode of modules, whatever the environment says, and the order of the files.
 
-    Otherwise every worker, and every process that a test starts, compiles the same hundreds of modules again.
+    Without bytecode every worker, and every process that a test starts, compiles the same hundreds of modules
+    again. pytest-xdist would begin with the files of many tests, and end with those of few long ones, during
+    which other workers idle.
     """
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    if hasattr(config.option, "loadscopereorder"):  # of pytest-xdist
+        config.option.loadscopereorder = False
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
