@@ -31,7 +31,7 @@ def following(
 ) -> k.Decision:
     """The decision of aircraft i if it follows its path and avoids nobody."""
     history = k.History(mind.times_s[i], mind.velocities[i])
-    nobody = np.int64(0)  # for a literal 0, numba would compile the whole law again
+    nobody = int(np.int64(0))  # for a literal 0, numba would compile the whole law again
     return k.decide(mind.neighbours, nobody, own, path, fence, law, state_of(mind, i), history, work)
 
 
