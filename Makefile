@@ -9,7 +9,7 @@ demo: .venv/base.stamp
 	$(BIN)/sitl-mocks demo
 
 test: .venv/dev.stamp
-	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest -n auto --dist loadfile
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check .

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -13,6 +16,19 @@ from companion.avoidance import kernels
 
 settings.register_profile("no wall clock", deadline=None)
 settings.load_profile("no wall clock")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep the bytecode of modules, whatever the environment says, and the order of the files.
+
+    Without bytecode every worker, and every process that a test starts, compiles the same hundreds of modules
+    again. pytest-xdist would begin with the files of many tests, and end with those of few long ones, during
+    which other workers idle.
+    """
+    sys.dont_write_bytecode = False
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    if hasattr(config.option, "loadscopereorder"):  # of pytest-xdist
+        config.option.loadscopereorder = False
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -32,12 +48,32 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_setupnodes() -> None:
-    """Compile once what in a fresh clone all workers, and the processes that they start, would compile."""
+def pytest_xdist_setupnodes(config: pytest.Config) -> None:
+    """Compile once what in a fresh clone all workers, and the processes that they start, would compile.
+
+    While one core compiles the kernels, another one compiles the tests to bytecode, by collecting them.
+    """
+    collecting = None
+    if not any(Path(kernels.__file__).parent.glob("__pycache__/*/")):
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "--collect-only",
+            "-qq",
+            "-p",
+            "no:cacheprovider",
+            *config.args,
+        ]
+        collecting = subprocess.Popen(
+            command, cwd=config.invocation_params.dir, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
     from ground_tools.campaign import cells  # takes a second, which the workers do not need to spend
 
     kernels.warm_up()
     cells.fly(cells.Cell(generator="S2", aircraft=3), [1])
+    if collecting is not None:
+        collecting.wait()
 
 
 @pytest.fixture

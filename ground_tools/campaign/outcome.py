@@ -100,7 +100,7 @@ class Tally(NamedTuple):
 
 
 _compiled = compiled()
-_inlined = compiled(inline="always")
+_inlined = compiled(forceinline=True)
 
 
 def new_log(fleet: int, decisions: int = 0) -> Log:

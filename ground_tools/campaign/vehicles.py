@@ -38,7 +38,7 @@ TWINS = {"twin": TWIN, "clone": CLONE, "own-twin": OWN_TWIN, "own-clone": OWN_CL
 M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
 
 _compiled = compiled()
-_inlined = compiled(inline="always")
+_inlined = compiled(forceinline=True)
 """For functions that every step calls with a whole fleet."""
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterable
-from functools import cache
+from collections.abc import Callable, Iterable
+from functools import cache, partial
 from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -408,22 +408,33 @@ def _signed_link() -> Target:
     return Target("mavlink signed", _signed_seeds() + _content_seeds(), feed, check)
 
 
+@cache
+def makers() -> dict[str, Callable[[], Target]]:
+    """For each reader, by name, what makes it with an empty memory."""
+    made: dict[str, Callable[[], Target]] = {}
+    for target in _stateless():
+        made[target.name] = lambda target=target: target  # type: ignore[misc]
+    for make in (
+        *(partial(_hearing, transport) for transport in sorted(TRANSPORTS)),
+        _hearing_wifi,
+        _scanner,
+        _decoder,
+        lambda: Target("adsb", _adsb_seeds(), taking(_read_adsb, ConfigError)),
+        lambda: Target("fence items", _fence_seeds(), taking(_read_fence)),
+        lambda: Target("drip evidence", _drip_seeds(), taking(_read_evidence)),
+        lambda: Target("drip link", _drip_seeds(), taking(_read_link)),
+        lambda: Target("drip entity tag", [DET.data], taking(Det)),
+        _drip_hearing,
+        _link,
+        _signed_link,
+    ):
+        made[make().name] = make
+    for group in (log_targets.make_targets, radio_targets.make_targets):
+        for at, target in enumerate(group()):
+            made[target.name] = lambda group=group, at=at: group()[at]  # type: ignore[misc]
+    return made
+
+
 def make_targets() -> list[Target]:
     """Every reader, with empty memories."""
-    return [
-        *_stateless(),
-        *(_hearing(transport) for transport in sorted(TRANSPORTS)),
-        _hearing_wifi(),
-        _scanner(),
-        _decoder(),
-        Target("adsb", _adsb_seeds(), taking(_read_adsb, ConfigError)),
-        Target("fence items", _fence_seeds(), taking(_read_fence)),
-        Target("drip evidence", _drip_seeds(), taking(_read_evidence)),
-        Target("drip link", _drip_seeds(), taking(_read_link)),
-        Target("drip entity tag", [DET.data], taking(Det)),
-        _drip_hearing(),
-        _link(),
-        _signed_link(),
-        *log_targets.make_targets(),
-        *radio_targets.make_targets(),
-    ]
+    return [make() for make in makers().values()]

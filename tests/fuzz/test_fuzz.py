@@ -18,16 +18,16 @@ from companion.errors import PeerDataError
 from tests.fuzz import run, targets
 from tests.fuzz.mutate import Mutator
 from tests.fuzz.seeds import Target
-from tests.fuzz.targets import make_targets
+from tests.fuzz.targets import makers
 
-NAMES = [target.name for target in make_targets()]
+NAMES = list(makers())
 INPUTS = 300
 SLACK = 2500
 """Lines or bytes: readers stop early, or not, at limits between the sizes."""
 
 
 def the(name: str) -> Target:
-    return next(target for target in make_targets() if target.name == name)
+    return makers()[name]()
 
 
 def test_nothing_but_peer_data_error_comes_out_of_a_reader() -> None:

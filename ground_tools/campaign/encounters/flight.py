@@ -117,7 +117,8 @@ def _fly(
         _receive(now, craft, heard)
         if tick % every == 0:
             own = _own(world, now, craft)
-            count = _look(now, received, own.position.d, heard, neighbours)
+            # As a literal 0 or 1, numba would compile the whole law for each, and then again.
+            count = int(np.int64(_look(now, received, own.position.d, heard, neighbours)))
             decision = k.decide(neighbours, count, own, path, fence, settings, state, history, work)
             state = decision.state
             for c, wanted in enumerate(decision.chosen):

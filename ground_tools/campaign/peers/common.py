@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import numpy as np
+
 from companion.arrays import Floats
 from companion.avoidance import kernels as k
 from companion.avoidance.kernels.decide import RESTART_S
@@ -29,7 +31,8 @@ def following(
 ) -> k.Decision:
     """The decision of aircraft i if it follows its path and avoids nobody."""
     history = k.History(mind.times_s[i], mind.velocities[i])
-    return k.decide(mind.neighbours, 0, own, path, fence, law, state_of(mind, i), history, work)
+    nobody = int(np.int64(0))  # for a literal 0, numba would compile the whole law again
+    return k.decide(mind.neighbours, nobody, own, path, fence, law, state_of(mind, i), history, work)
 
 
 @_compiled

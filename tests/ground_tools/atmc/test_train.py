@@ -129,25 +129,20 @@ def goes_on_from_complete_files(root: Path) -> None:
     assert cli.main(["atmc", "train", "--resume", str(folder), "--episodes", str(done + 1)]) == 0
 
 
-def test_stopping_a_process_leaves_complete_files(config, tmp_path):
-    root = tmp_path / "runs"
-    command = [sys.executable, "-m", "ground_tools.cli", "atmc", "train", "--algorithm", "madqn"]
-    command += ["--config", str(config), "--out", str(root), "--episodes", "100000"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    try:
-        signalled_while_it_trains(process.pid, signal.SIGTERM, root)
-        assert process.wait(30) == 130
-    finally:
-        process.kill()
-    assert "--resume" in process.stderr.read()
-    goes_on_from_complete_files(root)
+def not_handled(number: int, _: object) -> None:
+    raise AssertionError(f"signal {number} does not reach the training")
 
 
-def test_ctrl_c_leaves_complete_files(config, tmp_path, capsys):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_leaves_complete_files(number, config, tmp_path, capsys):
     """In this process: another one would take seconds of CPU time to load PyTorch."""
     root = tmp_path / "runs"
-    threading.Thread(target=signalled_while_it_trains, args=(os.getpid(), signal.SIGINT, root)).start()
-    code, _ = train(config, root, "--episodes", "100000")
+    before = signal.signal(number, not_handled)
+    try:
+        threading.Thread(target=signalled_while_it_trains, args=(os.getpid(), number, root)).start()
+        code, _ = train(config, root, "--episodes", "100000")
+    finally:
+        signal.signal(number, before)
     assert code == 130
     assert "--resume" in capsys.readouterr().err
     goes_on_from_complete_files(root)

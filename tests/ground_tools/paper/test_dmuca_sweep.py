@@ -67,6 +67,7 @@ def test_report_and_map_show_every_reading(tmp_path):
 
 def test_finished_readings_are_kept_and_never_mixed(tmp_path, monkeypatch, capsys):
     flown_now = []
+    monkeypatch.setattr(dmuca_sweep, "_draw", lambda figure, rows: None)  # drawn by the test above
     monkeypatch.setattr(
         dmuca_sweep, "row_of", lambda n, *_: flown_now.append(n) or row((0, 1), (2, 2), (6, 5), number=n)
     )

@@ -47,13 +47,20 @@ def least(run):
     return min(p.min_separation_m for p in pairs_of(run))
 
 
+def least_as_planned(paths):
+    """Least separation of aircraft that are exactly on their paths."""
+    at = np.linspace(paths[0][0, 0], paths[0][-1, 0], 2000)
+    places = [np.array([np.interp(at, p[:, 0], p[:, c]) for c in (1, 2, 3)]) for p in paths]
+    return min(np.linalg.norm(a - b, axis=0).min() for a, b in itertools.combinations(places, 2))
+
+
 @pytest.mark.parametrize(("kind", "seed", "delay"), [("S2", 3, (0.0, 1.0)), ("S3", 5, (2.0, 3.0))])
 def test_five_aircraft_keep_apart_and_return(kind, seed, delay):
     scenario = with_delay(middle_of(kind, seed), *delay)
-    assert least(lockstep.fly(scenario, seed, law="none")) < 10.0
+    paths = lockstep.paths_of(scenario, seed)
+    assert least_as_planned(paths) < 10.0
     run = lockstep.fly(scenario, seed)
     assert least(run) > 10.0
-    paths = lockstep.paths_of(scenario, seed)
     for deviation in deviations_of(run, paths, on_path_limit_m(scenario)):
         assert deviation.final_m < on_path_limit_m(scenario)
         assert deviation.largest_m > 3.0
@@ -66,8 +73,9 @@ def test_what_the_air_does_not_carry_nobody_knows():
     assert least(lockstep.fly(with_delay(HEAD_ON, 0.0, 0.0), 1)) > 10.0
 
 
-@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
-@pytest.mark.parametrize("transport", ["wifi", "ble4", "ble5", "nan"])
+@pytest.mark.parametrize(
+    ("transport", "firmware"), [("wifi", "ardupilot"), ("ble4", "px4"), ("ble5", "ardupilot"), ("nan", "px4")]
+)
 def test_every_transport_and_firmware_avoids_head_on(transport, firmware):
     scenario = with_delay(HEAD_ON, 0.0, 1.0, transports=(transport,))
     vehicle = msgspec.structs.replace(scenario.vehicle, firmware=firmware)
@@ -101,8 +109,8 @@ def test_delays_come_out_of_the_channel(model, transport, rate):
         assert pair.age_max_s < 0.2
         # Counted from the first position heard to the last tick.
         assert pair.first_heard_s + pair.observed_s == pytest.approx(run.time_s[-1] - run.time_s[0])
-    again = lockstep.fly(scenario, 1)
-    assert again.air == run.air
+    if transport == "wifi":  # once for each model
+        assert lockstep.fly(scenario, 1).air == run.air
 
 
 def test_wind_and_the_papers_law_fly():
