@@ -58,6 +58,34 @@ def test_the_down_speed_stops_before_floor_and_ceiling(
     assert k.down_speeds(here, settings()) == pytest.approx((least, most))
 
 
+@pytest.mark.parametrize("limit_mps2", [1.0, LimitsConfig().max_acceleration_mps2, 9.0])
+@pytest.mark.parametrize("vertical_mps", [2.0, 3.0, 5.0, 8.0])
+@pytest.mark.parametrize("downwards", [1.0, -1.0])
+def test_a_vehicle_of_1_mps2_vertically_keeps_floor_and_ceiling(
+    limit_mps2: float, vertical_mps: float, downwards: float
+) -> None:
+    """It dives towards a point beyond it, whatever acceleration of the command is configured: it answers with
+    a lag of 0.4 s, and accelerates by 1 m/s^2 vertically."""
+    limits = LimitsConfig(
+        max_speed_mps=10.0, max_descent_mps=vertical_mps, max_climb_mps=vertical_mps,
+        max_acceleration_mps2=limit_mps2,
+    )  # fmt: skip
+    points = [(0.0, 0.0, 0.0), (60.0, 0.0, 60.0 * vertical_mps * downwards)]
+    law = Law(AvoidanceConfig(), limits, Trajectory([0.0, 60.0], points))
+    down, speed, command, beyond = 0.0, 0.0, 0.0, -math.inf
+    for tick in range(600):
+        t = 0.1 * tick
+        if tick % 2 == 0:
+            here = (t, 0.0, down)
+            floor, ceiling = (100.0, None) if downwards > 0.0 else (None, -100.0)
+            view = Situation(t, t, here, (1.0, 0.0, speed), 1.0, (), floor, ceiling)
+            command = law.decide(view).chosen_ned_mps[2]
+        speed += 0.1 * min(max((command - speed) / 0.4, -1.0), 1.0)
+        down += 0.1 * speed
+        beyond = max(beyond, downwards * down - 100.0)
+    assert -5.0 < beyond < 0.1
+
+
 # ---------------------------------------------------------------- the wish
 
 
