@@ -75,6 +75,9 @@ ON_PLANE_MPS = 1e-6
 BOUNDARY_LAG_S = 1.0
 """Time from a decision to the vehicle's response, for floor and ceiling: autopilot lag, period and
 latency."""
+BOUNDARY_MPS2 = 1.0
+"""Greatest deceleration that is counted on before floor and ceiling, whatever the limit of the command is.
+ArduPilot reached 1.1 m/s^2 vertically, and 2.8 horizontally (docs/simulation-results.md)."""
 RESTART_S = 1.0
 """After a pause longer than this and than five periods, the command starts again from the own velocity."""
 
@@ -97,7 +100,7 @@ def on_plane(plane: Plane, v: Vector) -> bool:
 def down_speeds(own: Own, settings: Settings) -> tuple[float, float]:
     """Least and greatest down speed: within the climb and descent limits, and able to stop before floor and
     ceiling."""
-    down, acceleration = own.position.d, settings.acceleration_mps2
+    down, acceleration = own.position.d, min(settings.acceleration_mps2, BOUNDARY_MPS2)
     least, most = -settings.climb_mps, settings.descent_mps
     most = min(max(closing(own.floor_d - down, acceleration, BOUNDARY_LAG_S), least), most)
     least = min(
