@@ -8,7 +8,7 @@ import pytest
 
 from ground_tools.campaign import tables
 
-SEEDS = {"laws": 10_000, "twenty": 10_000, "twins-lost": 200}
+SEEDS = {"laws": 4_000, "twenty": 300, "twins-lost": 200}
 ROOT = Path(__file__).parents[3]
 
 
