@@ -15,9 +15,9 @@ from ground_tools.campaign.attacks.scene import BEGIN_S, Scene
 
 SEPARATION_M: Final = 2.0 * AvoidanceConfig().conflict_radius_m
 HIT_M: Final = 2.0
-AWAY_M: Final = 20.0
-"""An aircraft that flies its path itself counts as held while it is farther than this from its timed point.
-Its start from rest leaves it up to 19 m behind."""
+AWAY_M: Final = 15.0
+"""An aircraft that flies its path itself counts as held while it is farther than this from its timed point. A
+start from rest counts, too: the return within 15 s takes up to some 12 s of it at 15 m/s."""
 
 
 class Row(msgspec.Struct, frozen=True):

@@ -242,7 +242,7 @@ def test_the_judge_sees_a_planted_loss():
     row = judged(World(drawn, attacker, (0.0, 0.0, 0.0), 20.0), "blind")
     assert row.lost
     assert row.separation_m < 10.0
-    assert row.held_s == 0.0
+    assert row.held_s < 8.0  # the start from rest, 20 m behind the path's point
 
 
 def test_the_judge_sees_between_two_steps():
