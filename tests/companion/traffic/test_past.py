@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import pytest
 
 from companion.avoidance.kernels import GROWTH_MOST_MPS
 from companion.avoidance.law import ASIDE
+from companion.traffic.fix import Fix
 from tests.companion.traffic.flights import Listener, circle, fly, location, seconds, straight
 
 
@@ -203,3 +205,19 @@ def test_one_whose_height_is_unpredictable_is_a_threat_farther_above(steps_m, th
     assert track.past.growth_mps == 0.0
     assert (track.past.growth_down_mps > 2.0) is threat
     assert (track.threat_s > 0.0) is threat
+
+
+def test_a_new_track_takes_over_the_growth_of_the_nearest():
+    """Of two tracks that its address feeds, whichever comes first."""
+    listener = Listener()
+    fly(listener, straight(), seconds(4))
+    (near,) = listener.traffic.tracks.values()
+    north, east, down = near.position_ned_m
+    far, new = copy.deepcopy(near), copy.deepcopy(near)
+    far.position_ned_m = (north + 15.0, east, down)
+    near.past, far.past = near.past._replace(growth_mps=1.0), far.past._replace(growth_mps=2.0)
+    fix = Fix((north, east, down), near.velocity_ned_mps, 3.0, 0.5, True, near.sample_s, 0.0, near.content)
+    for others in ((near, far), (far, near)):
+        new.past = new.past._replace(growth_mps=0.0)
+        new.inherit(others, fix, near.sample_s)
+        assert new.past.growth_mps == 1.0
