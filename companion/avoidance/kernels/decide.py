@@ -78,6 +78,9 @@ latency."""
 BOUNDARY_MPS2 = 1.0
 """Greatest deceleration that is counted on before floor and ceiling, whatever the limit of the command is.
 ArduPilot reached 1.1 m/s^2 vertically, and 2.8 horizontally (docs/simulation-results.md)."""
+TURN_MPS = 1.0
+"""The turn to the right leads aside with at most this speed, as 0.2 rad do at 5 m/s. At 20 m/s the whole angle
+costs more room than the planes need, and aircraft that turn and return on what others did seconds ago weave."""
 RESTART_S = 1.0
 """After a pause longer than this and than five periods, the command starts again from the own velocity."""
 
@@ -178,9 +181,12 @@ def _started(own: Own, state: State, settings: Settings) -> tuple[Vector, float]
 
 @compiled
 def _turned(wanted: Vector, right_rad: float) -> Vector:
-    """The velocity, turned to the right."""
+    """The velocity, turned to the right by an angle that leads aside with at most TURN_MPS."""
     if right_rad == 0.0:
         return wanted
+    aside = math.sin(right_rad) * math.sqrt(wanted.n * wanted.n + wanted.e * wanted.e)
+    if aside > TURN_MPS:
+        right_rad = math.asin(math.sin(right_rad) * TURN_MPS / aside)
     c, s = math.cos(right_rad), math.sin(right_rad)
     return Vector(c * wanted.n - s * wanted.e, s * wanted.n + c * wanted.e, wanted.d)
 
