@@ -36,7 +36,7 @@ from companion.events import TrackView
 from companion.geometry import Vec3
 from companion.laws import kind_of
 
-OLDEST_S = 15.0
+OLDEST_S = k.KEPT_MORE * k.KEPT_S
 """Neighbours whose message is older than this are ignored."""
 LEAST_MARGIN_M = 2.0
 SIGMAS = 4.0

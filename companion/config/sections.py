@@ -188,6 +188,8 @@ class TrafficConfig(_Section, frozen=True):
 
     max_tracks: Annotated[int, Meta(ge=1, le=10000)] = 200
     expire_after_s: Annotated[float, Meta(gt=0, le=120)] = 15.0
+    """Time after its last message at which a track is removed. An aircraft with long gaps between its
+    messages is kept for three of its longest recent gaps, at most twice as long as this."""
     max_clock_offset_s: Annotated[float, Meta(ge=0, le=60)] = 5.0
     max_speed_mps: Annotated[float, Meta(gt=0, le=400)] = 120.0
     """A message that reports a higher speed is refused. It also bounds how far an aircraft of unknown

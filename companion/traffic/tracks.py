@@ -19,6 +19,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from companion.avoidance import kernels
 from companion.avoidance.law import Neighbour
 from companion.config import AvoidanceConfig, TrafficConfig
 from companion.events import RemoteIdHeard, Say, TrackFlagged
@@ -218,10 +219,12 @@ class Traffic:
         self._own.clear()
 
     def expire(self, now_s: float) -> None:
-        """Remove tracks older than `expire_after_s`."""
-        limit = self.config.expire_after_s
-        for track in [t for t in self.tracks.values() if now_s - t.sample_s > limit]:
-            self._table.remove(track)
+        """Remove tracks older than `expire_after_s`, or than their gaps explain (`kernels.kept_for`)."""
+        least = self.config.expire_after_s
+        old = [t for t in self.tracks.values() if now_s - t.sample_s > least]
+        for track in old:
+            if now_s - track.sample_s > kernels.kept_for(track.past.gap_s, least):
+                self._table.remove(track)
 
     def neighbours(self, now_s: float) -> list[Neighbour]:
         """Every track, and where else it was lately reported to be, as input of the law."""

@@ -14,7 +14,6 @@ import numpy as np
 
 from companion.arrays import Floats, Integers
 from companion.avoidance import kernels as k
-from companion.avoidance.law import OLDEST_S
 from companion.traffic import adsb
 from companion.traffic.right_of_way import CREWED as CREWED_RANK
 from companion.traffic.right_of_way import FREE, share_of
@@ -407,10 +406,10 @@ def _look(
     for j in range(len(kinds)):
         m = mind.heard[i, j]
         age = max(now + craft.clock[i] - m[M_TIME], 0.0)
-        if j == i or age > OLDEST_S:
+        past = k.past_at(mind.pasts[i], j)
+        if j == i or age > k.kept_for(past.gap_s, k.KEPT_S):
             continue
         p, v = m[M_POSITION:M_VELOCITY], m[M_VELOCITY:MESSAGE_COLUMNS]
-        past = k.past_at(mind.pasts[i], j)
         crewed = kinds[j] == CREWED or kinds[j] == BAROMETRIC
         silent = not crewed and now - mind.got[i, j] > k.silent_after(past.gap_s)
         known = k.Other(

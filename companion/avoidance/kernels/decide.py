@@ -24,8 +24,10 @@ from companion.avoidance.kernels.fence_planes import (
 )
 from companion.avoidance.kernels.hard_planes import Bounds, keep, limit
 from companion.avoidance.kernels.neighbours import (
+    KEPT_S,
     NO_PAST,
     all_within,
+    kept_for,
     neighbour_planes,
     note_track,
     silent_after,
@@ -79,8 +81,9 @@ BOUNDARY_MPS2 = 1.0
 """Greatest deceleration that is counted on before floor and ceiling, whatever the limit of the command is.
 ArduPilot reached 1.1 m/s^2 vertically, and 2.8 horizontally (docs/simulation-results.md)."""
 TURN_MPS = 1.0
-"""The turn to the right leads aside with at most this speed, as 0.2 rad do at 5 m/s. At 20 m/s the whole angle
-costs more room than the planes need, and aircraft that turn and return on what others did seconds ago weave."""
+"""The turn to the right leads aside with at most this speed, as 0.2 rad do at 5 m/s. At 20 m/s the whole
+angle costs more room than the planes need, and aircraft that turn and return on what others did seconds ago
+weave."""
 RESTART_S = 1.0
 """After a pause longer than this and than five periods, the command starts again from the own velocity."""
 
@@ -345,6 +348,7 @@ def warm_up() -> None:
     )  # fmt: skip
     all_within(neighbours, 2, 1.0)
     silent_after(0.0)
+    kept_for(0.0, KEPT_S)
     note_track(tuple(NO_PAST), 1.0, zero, zero, 1.0)
     powers = np.zeros(HYPOTHESES)
     note_power(powers, np.zeros((2, HYPOTHESES)), np.zeros(3), 0.0, 0.0, 0.0, 0.0, 0.0)

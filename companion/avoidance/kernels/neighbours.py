@@ -42,6 +42,11 @@ GROWTH_AHEAD_S = 4.0
 SILENT_GAPS = 2.2
 """A track may have stopped if nothing was received for this many of its longest recent gaps (at least 1 s).
 With one message a second, delays that differ by a second already make gaps of 2 s."""
+KEPT_S = 15.0
+"""A track is used for this long after its message, whatever its gaps."""
+KEPT_GAPS, KEPT_MORE = 3.0, 2.0
+"""A track is used for so many of its longest recent gaps, but for at most KEPT_MORE times the least time.
+Where four of five messages are lost, gaps of 15 s are common, and aircraft that forget each other meet."""
 GAP_MEMORY_S = 60.0
 """Time constant with which the longest gap of a track fades."""
 PASSING_M = 5.0
@@ -208,6 +213,17 @@ def silent_after(gap_s: float) -> float:
         gap_s: `Past.gap_s`.
     """
     return SILENT_GAPS * max(gap_s, 1.0)
+
+
+@compiled
+def kept_for(gap_s: float, least_s: float) -> float:
+    """Time (s) since its message for which a track is used.
+
+    Args:
+        gap_s: `Past.gap_s`.
+        least_s: the time for a track without gaps; KEPT_S by default.
+    """
+    return min(max(KEPT_GAPS * gap_s, least_s), KEPT_MORE * least_s)
 
 
 @compiled

@@ -14,7 +14,6 @@ import numpy as np
 
 from companion.arrays import Floats
 from companion.avoidance import kernels as k
-from companion.avoidance.law import OLDEST_S
 from companion.traffic import adsb
 from ground_tools.campaign.compiled import compiled
 from ground_tools.campaign.flight import CREWED_SHARE
@@ -177,7 +176,7 @@ def _look(now: float, received: int, own_down_m: float, heard: Floats, neighbour
     """Write the crewed aircraft to the law's table, as `companion.traffic.adsb` passes it on. Returns the
     number of rows."""
     age = now - heard[M_TIME]
-    if age > OLDEST_S:
+    if age > adsb.EXPIRE_S:
         return 0
     p, v = heard[M_POSITION:M_VELOCITY], heard[M_VELOCITY:MESSAGE_COLUMNS]
     known = received == GEOMETRIC or abs(p[2] - own_down_m) > adsb.BAROMETRIC_M

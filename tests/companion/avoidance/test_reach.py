@@ -57,7 +57,7 @@ def test_an_overlap_is_left_within_a_second_by_half_of_each(north_m: float, spee
 
 
 @pytest.mark.parametrize(
-    ("age_s", "used"), [(0.0, True), (14.9, True), (15.1, False), (-14.9, True), (-15.1, False)]
+    ("age_s", "used"), [(0.0, True), (29.9, True), (30.1, False), (-29.9, True), (-30.1, False)]
 )
 def test_how_old_a_message_may_be(age_s: float, used: bool) -> None:
     result, _ = decided(other(100.0, 1.0, age_s))

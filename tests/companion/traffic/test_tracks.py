@@ -6,6 +6,9 @@ import math
 
 import pytest
 
+from companion.avoidance import kernels
+from companion.avoidance.law import OLDEST_S
+from companion.config import TrafficConfig
 from companion.remote_id.messages import Location
 from companion.traffic.fix import SIGMA_MOST_M, SIGMA_UNKNOWN_M
 from tests.companion.traffic.listening import SEPARATION_M, UTC_OFFSET_S, Listener, basic, location
@@ -106,6 +109,24 @@ def test_expiry():
     assert "X" in listener.tracks
     listener.traffic.expire(25.1)
     assert not listener.tracks
+
+
+@pytest.mark.parametrize(("gap_s", "kept_s"), [(4.9, 15.0), (7.0, 21.0), (12.0, 30.0)])
+def test_an_aircraft_with_long_gaps_is_kept_for_three_of_them(gap_s, kept_s):
+    listener = Listener(expire_after_s=15.0)
+    for k in range(3):
+        listener.hear(10.0 + k * gap_s, basic("X"), location(timestamp_s=10.0 + k * gap_s))
+    last_s = 10.0 + 2.0 * gap_s
+    listener.traffic.expire(last_s + kept_s - 0.1)
+    (known,) = listener.traffic.neighbours(last_s + kept_s - 0.1)
+    assert known.age_s == pytest.approx(kept_s - 0.1)
+    assert known.age_s <= OLDEST_S
+    listener.traffic.expire(last_s + kept_s + 0.1)
+    assert not listener.tracks
+
+
+def test_the_campaign_keeps_tracks_as_long_as_the_default_configuration():
+    assert TrafficConfig().expire_after_s == kernels.KEPT_S
 
 
 @pytest.mark.parametrize(
