@@ -170,16 +170,16 @@ def test_a_climb_or_descent_leaves_less_in_reserve(sinking_mps: float, most_mps:
 
 
 def test_a_turn_to_the_right() -> None:
-    assert _turned(k.Vector(1.0, 0.0, 1.0), math.radians(90.0)) == pytest.approx((0.0, 1.0, 1.0))
+    assert _turned(k.Vector(2.0, 0.0, 1.0), math.radians(90.0)) == pytest.approx((0.0, 2.0, 1.0))
     assert _turned(k.Vector(0.0, 2.0, 1.0), math.radians(30.0)) == pytest.approx((-1.0, math.sqrt(3.0), 1.0))
     assert _turned(k.Vector(1.0, 2.0, 3.0), 0.0) == (1.0, 2.0, 3.0)
 
 
-@pytest.mark.parametrize("speed", [6.0, 20.0, 40.0])
-def test_a_fast_aircraft_turns_aside_with_one_metre_per_second(speed: float) -> None:
+@pytest.mark.parametrize("speed", [11.0, 20.0, 40.0])
+def test_a_fast_aircraft_turns_aside_with_two_metres_per_second(speed: float) -> None:
     turned = _turned(k.Vector(0.0, speed, 1.0), 0.2)
-    assert turned == pytest.approx((-1.0, math.sqrt(speed * speed - 1.0), 1.0))
-    assert _turned(k.Vector(0.0, 5.0, 1.0), 0.2) == (-5.0 * math.sin(0.2), 5.0 * math.cos(0.2), 1.0)
+    assert turned == pytest.approx((-2.0, math.sqrt(speed * speed - 4.0), 1.0))
+    assert _turned(k.Vector(0.0, 10.0, 1.0), 0.2) == (-10.0 * math.sin(0.2), 10.0 * math.cos(0.2), 1.0)
 
 
 # ---------------------------------------------------------------- the start
