@@ -6,6 +6,7 @@ import argparse
 import errno
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -84,8 +85,11 @@ def _refuse(parser: argparse.ArgumentParser, argv: Sequence[str], unknown: Seque
 def start(module: str) -> int:
     """Import a command's module, which takes a second or more, and run its `main`.
 
-    Ctrl-C ends both the import and `main` without a traceback. Returns the exit code.
+    Ctrl-C and SIGTERM end both the import and `main` without a traceback. A parent that simply ended on
+    SIGTERM would leave its workers behind. Returns the exit code.
     """
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         code: int = importlib.import_module(module).main()
     except KeyboardInterrupt:

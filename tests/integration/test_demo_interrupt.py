@@ -1,23 +1,36 @@
-"""Ctrl-C in the middle of many flights."""
+"""Ctrl-C and SIGTERM in the middle of many flights."""
 
 from __future__ import annotations
 
+import signal
 import time
 from pathlib import Path
 
+import pytest
 
-def workers(pid: int) -> int:
+
+def workers(pid: int) -> list[int]:
     """Child processes of a process."""
-    return len(Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
-def test_ctrl_c_ends_all_flights(start):
-    demo = start("sitl_mocks.cli", "demo", "--seeds", "1-20")
+def running(pids: list[int]) -> list[int]:
+    return [pid for pid in pids if Path(f"/proc/{pid}/exe").exists()]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_all_flights(start, number):
+    demo = start("sitl_mocks", "demo", "--seeds", "1-20")
     end = time.monotonic() + 60.0
-    while workers(demo.process.pid) < 2 and time.monotonic() < end:
+    while len(workers(demo.process.pid)) < 2 and time.monotonic() < end:
         time.sleep(0.1)
     # Let them begin to fly.
     time.sleep(3.0)
-    assert demo.end() == 130
+    flying = workers(demo.process.pid)
+    assert demo.end(number) == 130
+    end = time.monotonic() + 60.0
+    while running(flying) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not running(flying)
     assert "Interrupted" in demo.output
     assert "Traceback" not in demo.output
