@@ -1,0 +1,333 @@
+"""The cells of a study of cities: what is flown, what aircraft know of each other, and the outcome of a run."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from operator import attrgetter
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from companion.arrays import Floats
+from companion.atmc.actions import SET_ACTIONS, Action
+from companion.atmc.rule import FIXED_SETS, fixed
+from companion.config import AvoidanceConfig, TrafficConfig
+from companion.errors import ConfigError
+from companion.remote_id.region import Region
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
+from companion.shipped import shipped
+from companion.toml_reader import decode_toml
+from ground_tools.campaign.outcome import COLLISION_M
+from ground_tools.campaign.world import World
+from ground_tools.city import awareness, demand, intentions, measure
+from ground_tools.city.choosing import ByPolicy, ByRule, Chooser, Fixed
+from ground_tools.city.demand import Demand
+from ground_tools.city.flights import Flights, flights_of
+from ground_tools.city.loop import GIVEN, PERFECT, RADIO
+from ground_tools.city.reception import AnalyticRadio
+from ground_tools.city.simulation import PART_S, Result, Simulation
+from ground_tools.common.kept_lines import Kept
+from ground_tools.results import sources
+from sitl_mocks.channel.link_budget import ranges_m
+from sitl_mocks.channel.parameters import BackgroundLoad, ChannelParameters
+from sitl_mocks.channel.parameters import load as load_parameters
+
+CHANNEL: Final = "config/channel/standard.toml"
+POLICY: Final = "config/policies/atmc.safetensors"
+SINGLE: Final[dict[str, Action]] = {BLE4: (10, 0, 0), BLE5: (0, 10, 0), "wifi": (0, 0, 10)}
+"""All aircraft on one transport, at the highest rate. BLE 4 and BLE 5 alone are legal nowhere."""
+TRANSPORTS: Final = (*SINGLE, "fixed", "rule", "policy")
+_BLUETOOTH: Final = 0.35
+"""Foreign load of Bluetooth as a share of that of Wi-Fi, because it hops; as in `paper closed-loop`."""
+_PERFECT_M: Final = 2500.0
+"""How far aircraft with perfect information know of others."""
+
+
+class City(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Runs of one kind. They differ only in their seeds."""
+
+    demand: Demand = Demand()
+    flights: str | None = None
+    """Path of a file with flights (`intentions`) instead of `demand`."""
+    from_s: float = 0.0
+    """Time in that file at which the run begins."""
+    duration_s: Annotated[float, Meta(ge=10, le=86_400)] = 600.0
+    settle_s: Annotated[float, Meta(ge=0)] = 60.0
+    """What happens before this is not counted."""
+    law: Literal["dmuca", "none"] = "dmuca"
+    knows: Literal["radio", "given", "perfect"] = "radio"
+    """radio: what the channel equations let through. given: messages with `delay_s` and `loss`. perfect: the
+    true state of all within 2.5 km."""
+    transports: str = "policy"
+    """One of `TRANSPORTS`: one transport for all, the best fixed legal set, the rule, or the frozen policy."""
+    region: Literal["none", "us", "eu"] = "none"
+    load: Annotated[float, Meta(ge=0, lt=1)] = 0.0
+    """Share of time for which foreign transmissions fill the Wi-Fi channel."""
+    delay_s: tuple[float, float] = (0.0, 1.0)
+    loss: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    reach_m: Annotated[float, Meta(gt=0)] = 2000.0
+    """With `given`: how far messages reach."""
+
+    @property
+    def name(self) -> str:
+        """Name of the files of this cell. Two cells with the same name are equal."""
+        digest = hashlib.sha256(msgspec.json.encode(self)).hexdigest()[:8]
+        what = self.transports if self.knows == "radio" and self.law != "none" else self.knows
+        return f"{self.demand.pattern}-{self.demand.per_km2:g}-{self.law}-{what}-{digest}"
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """Outcome of one run, without its first `settle_s` where that says so."""
+
+    seed: int
+    flights: int
+    """Flights of the demand. Each is one of the next five."""
+    arrived: int
+    in_the_air: int
+    """At the end."""
+    waiting: int
+    """Due, but their place of departure was not free."""
+    not_due: int
+    slots: int
+    """Most aircraft that could be in the air at the same time."""
+    flight_h: float
+    """Hours of flight that count."""
+    losses: int
+    """Losses of separation that count: a pair that comes nearer than `measure.SEPARATION_M`."""
+    cruise_losses: int
+    """Those far from the beginning and the end of both paths."""
+    collisions: int
+    """Those nearer than `COLLISION_M`."""
+    least_m: float | None
+    """Least distance of any pair; None: none was ever near another."""
+    deviation_m: float
+    """Mean distance from the timed point."""
+    largest_deviation_m: float
+    """Median over the flights of their largest distance from it."""
+    late_s: float
+    """Mean delay of the paths."""
+    waited_s: float
+    """Mean time for which departures waited."""
+    infeasible: float
+    """Share of decisions that could not keep every half-space."""
+    conflict: float
+    """Share of decisions in conflict."""
+    asked: float
+    """Mean number of neighbours that could matter to a decision."""
+    age_s: float | None
+    """Mean age of the information of aircraft within `awareness.WITHIN_M`; None without messages."""
+    old: float | None
+    """Share of that information older than `awareness.OLD_S`."""
+    unheard: float | None
+    """Share of the pairs within that distance of which one does not know the other."""
+    wifi_load: float | None
+    """Mean Wi-Fi load that aircraft sense, in shares of time; above 1 not all beacons find room."""
+    ble4: float
+    """Mean Locations per second of an aircraft on this transport; likewise the next two."""
+    ble5: float
+    wifi: float
+    refused: float
+    """Share of decisions in which the fall-back was used instead of the policy."""
+    given_up: int
+    """Tracks that were given up because a table was full."""
+    turned_away: int
+    """Newcomers for which a full table had no room."""
+    not_measured: int
+    """Near pairs that were not measured, because an aircraft had too many."""
+
+
+def region_of(city: City) -> Region:
+    """The region whose law is kept."""
+    if city.region == "none":
+        return Region()
+    return decode_toml(shipped(f"config/regions/{city.region}.toml"), Region)
+
+
+def channel_of(city: City) -> ChannelParameters:
+    """The channel, with the foreign load."""
+    found = load_parameters(shipped(CHANNEL))
+    if city.load == 0.0:
+        return found
+    bluetooth = _BLUETOOTH * city.load
+    return msgspec.structs.replace(
+        found, background=BackgroundLoad(wifi=city.load, ble4=bluetooth, ble5=bluetooth)
+    )
+
+
+def chooser_of(city: City, slots: int) -> Chooser:
+    """What chooses the transports.
+
+    Raises:
+        ConfigError: the word is unknown, or no set is legal in the region.
+    """
+    region, most = region_of(city), TrafficConfig().max_tracks
+    if city.transports in SINGLE:
+        return Fixed(SINGLE[city.transports])
+    if city.transports == "fixed":
+        action = fixed(region, (BLE4, BLE5, WIFI_BEACON))
+        if action is None:
+            raise ConfigError(f"region {city.region}: no fixed set is legal")
+        return Fixed(action)
+    if city.transports == "rule":
+        return ByRule(region, most)
+    if city.transports == "policy":
+        path = shipped(POLICY)
+        return ByPolicy(path.read_bytes(), path.name, region, slots, most)
+    raise ConfigError(f"--transports: {city.transports} is unknown; allowed: {', '.join(TRANSPORTS)}")
+
+
+def rates_of(city: City) -> set[int]:
+    """Locations per second that may be used."""
+    return {rate for action in (*SET_ACTIONS, *FIXED_SETS, *SINGLE.values()) for rate in action if rate}
+
+
+def flights_for(city: City, avoidance: AvoidanceConfig, seed: int) -> Flights:
+    """The flights of one run.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    if city.flights is not None:
+        wishes = intentions.read(Path(city.flights), city.from_s, city.duration_s, seed)
+    else:
+        wishes = demand.draw(city.demand, city.duration_s, seed)
+    return flights_of(wishes, avoidance)
+
+
+def fly(city: City, seed: int) -> tuple[Row, Result]:
+    """Fly one run. The same arguments give the same result, bit for bit.
+
+    Raises:
+        ConfigError: a setting or a file cannot be used.
+    """
+    avoidance = AvoidanceConfig(law=city.law)
+    flights = flights_for(city, avoidance, seed)
+    rng, radio_rng, other_rng = (np.random.default_rng([seed, number]) for number in (31, 32, 33))
+    knows = {"radio": RADIO, "given": GIVEN, "perfect": PERFECT}[city.knows]
+    delay_s = city.delay_s if city.knows == "given" else (0.0, 0.0)
+    world = World(end_s=city.duration_s, delay_s=delay_s, loss=city.loss)
+    reach_m = np.array([city.reach_m if city.knows == "given" else _PERFECT_M, 0.0, 0.0])
+    radios: list[AnalyticRadio] = []
+    if city.knows == "radio":
+        reach_m = ranges_m(channel_of(city))
+
+    def radio(slots: int, message_s: float) -> AnalyticRadio:
+        chooser = chooser_of(city, slots)
+        radios.append(AnalyticRadio(channel_of(city), rates_of(city), chooser, slots, message_s, other_rng))
+        return radios[0]
+
+    run = Simulation(
+        flights, avoidance, world, knows, reach_m, rng, radio_rng,
+        radio=radio if city.knows == "radio" else None,
+    )  # fmt: skip
+    return _measured(city, seed, run, radios)
+
+
+def _measured(city: City, seed: int, run: Simulation, radios: list[AnalyticRadio]) -> tuple[Row, Result]:
+    """Fly, count from `settle_s` on, and sum up."""
+    watch = Watch(run, radios)
+    settled = math.ceil(min(city.settle_s, city.duration_s) / PART_S) * PART_S
+    run.fly(settled)
+    measure.forget(run.state.tally)
+    result = run.fly(city.duration_s - settled, after=watch.look)
+    refused = radios[0].chooser.refused() if radios else 0.0
+    return _row(seed, settled, result, run.slots, watch, refused), result
+
+
+class Watch:
+    """Ages and loads, summed up after each part of a run."""
+
+    def __init__(self, run: Simulation, radios: list[AnalyticRadio]) -> None:
+        self._run, self._radios = run, radios
+        self.ages = np.zeros(awareness.AGES)
+        self.load = self.aircraft = 0.0
+        self.rates = np.zeros(3)
+
+    def look(self) -> None:
+        """Add what is so now."""
+        state = self._run.state
+        flying = state.air.flight >= 0
+        self.aircraft += float(flying.sum())
+        self.rates += state.air.rates[flying].sum(axis=0)
+        if len(state.tracks.who) == len(flying):
+            awareness.add_ages(self._run.now_s, awareness.WITHIN_M, state, self.ages)
+        for radio in self._radios:
+            self.load += float(radio.sensed_load[flying].sum())
+
+
+def _row(seed: int, settled: float, result: Result, slots: int, watch: Watch, refused: float) -> Row:
+    tally, state = result.state.tally, result.state
+    rows = tally.flights[tally.flights[:, measure.T_STEPS] > 0.0]
+    losses = tally.losses[: min(int(tally.count[0]), len(tally.losses))]
+    losses = losses[losses[:, measure.L_TIME] >= settled]
+    decisions, steps = max(rows[:, measure.T_DECISIONS].sum(), 1.0), max(rows[:, measure.T_STEPS].sum(), 1.0)
+    heard, age, old, unheard = watch.ages.tolist()
+    aircraft = max(watch.aircraft, 1.0)
+    least = float(rows[:, measure.T_LEAST].min(initial=math.inf))
+    messages = heard + unheard > 0.0
+    return Row(
+        seed=seed,
+        flights=len(tally.flights),
+        arrived=result.arrived,
+        in_the_air=result.in_the_air,
+        waiting=result.waiting,
+        not_due=result.not_due,
+        slots=slots,
+        flight_h=round(float(steps) * result.step_s / 3600.0, 4),
+        losses=len(losses),
+        cruise_losses=int((losses[:, measure.L_TERMINAL] == 0.0).sum()),
+        collisions=int((losses[:, measure.L_LEAST] < COLLISION_M).sum()),
+        least_m=round(least, 3) if math.isfinite(least) else None,
+        deviation_m=_of(rows[:, measure.T_GAP_SUM].sum() / steps),
+        largest_deviation_m=_of(np.median(rows[:, measure.T_GAP_MOST])) if len(rows) else 0.0,
+        late_s=_of(rows[:, measure.T_LATE].mean()) if len(rows) else 0.0,
+        waited_s=_mean(result.waited_s),
+        infeasible=_of(rows[:, measure.T_INFEASIBLE].sum() / decisions),
+        conflict=_of(rows[:, measure.T_CONFLICTS].sum() / decisions),
+        asked=_of(rows[:, measure.T_ASKED].sum() / decisions),
+        age_s=_of(age / heard) if heard > 0.0 else None,
+        old=_of(old / heard) if heard > 0.0 else None,
+        unheard=_of(unheard / (heard + unheard)) if messages else None,
+        wifi_load=_of(watch.load / aircraft) if watch.load > 0.0 else None,
+        ble4=_of(watch.rates[0] / aircraft),
+        ble5=_of(watch.rates[1] / aircraft),
+        wifi=_of(watch.rates[2] / aircraft),
+        refused=_of(refused),
+        given_up=int(state.tracks.counts[0]),
+        turned_away=int(state.tracks.counts[1]),
+        not_measured=result.near_overflow,
+    )
+
+
+def _of(value: float) -> float:
+    return round(float(value), 5)
+
+
+def _mean(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return _of(known.mean()) if len(known) else 0.0
+
+
+ROOTS: Final = ("ground_tools.city.cells",)
+"""Modules that decide a result."""
+
+
+def kept(folder: Path, city: City) -> Kept[Row]:
+    """The stored results of a cell, its rows by seed.
+
+    Raises:
+        ConfigError: the results come from another state of the software, or cannot be read.
+    """
+    header = {**msgspec.to_builtins(city), "software": sources.digest(ROOTS)}
+    header = msgspec.json.decode(msgspec.json.encode(header))
+    return Kept(folder / f"{city.name}.jsonl", header, Row, attrgetter("seed"))
+
+
+def losses_per_h(rows: list[Row]) -> float:
+    """Losses of separation for each hour of flight; NaN without flight."""
+    hours = sum(row.flight_h for row in rows)
+    return sum(row.losses for row in rows) / hours if hours > 0.0 else math.nan

@@ -1,0 +1,357 @@
+"""Who chooses which transports: a fixed set, the rule, or the frozen policy, for many aircraft at a time.
+
+The observations are those of `companion.atmc.senses`, from what the city's aircraft heard. The network of a
+policy is evaluated for many aircraft at once; a test compares the choices with `companion.atmc.policy`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+
+from companion.arrays import Bools, Float32s, Floats, Integers
+from companion.atmc.actions import TRANSPORTS, Action, legal
+from companion.atmc.networks import Tensors
+from companion.atmc.observation import (
+    IDENTITY_BITS,
+    LEAST_CLOSING_MPS,
+    LOOK_AHEAD_S,
+    NEIGHBOUR_COLUMNS,
+    SEPARATION_M,
+    identity_of,
+    own_row,
+)
+from companion.atmc.policy import SLACK, Policy
+from companion.atmc.policy_file import read
+from companion.atmc.rule import FLYING_RULE, fixed
+from companion.atmc.senses import FEWEST_EXPECTED, FEWEST_SENDERS, NEAR_M, SCAN_SHARE
+from companion.errors import ConfigError
+from companion.remote_id.region import Region
+from companion.traffic.senders.reception import HEARD_S, SHARE_MEMORY_S
+from ground_tools.campaign.vehicles import M_POSITION, M_TIME, M_VELOCITY
+from ground_tools.city.compiled import compiled
+from ground_tools.city.loop import State
+from ground_tools.city.tables import NOBODY
+
+_SURE_AGAIN: Final = 5
+"""As in `companion.atmc.chooser`: decisions in a row after a refusal before the policy is followed again."""
+_ROWS_AT_ONCE: Final = 60_000
+_compiled = compiled()
+
+
+class Chooser(Protocol):
+    """Chooses the transports of many aircraft."""
+
+    def choose(self, now_s: float, turn: Integers, state: State, rng: np.random.Generator) -> None:
+        """Set the rates of the aircraft in these slots."""
+        ...
+
+    def refused(self) -> float:
+        """Share of the decisions that a policy refused, so that the fall-back was used."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Fixed:
+    """Always the same set.
+
+    Args:
+        action: Locations per second by transport.
+    """
+
+    action: Action
+
+    def choose(self, now_s: float, turn: Integers, state: State, rng: np.random.Generator) -> None:
+        """See `Chooser`."""
+        state.air.rates[turn] = self.action
+
+    def refused(self) -> float:
+        """See `Chooser`."""
+        return 0.0
+
+
+class ByRule:
+    """The rule of `companion.atmc.rule`: BLE 4 as well if any aircraft is heard within its range.
+
+    Args:
+        region: whose law is kept.
+
+    Raises:
+        ConfigError: a set that the rule wants is not legal in the region.
+    """
+
+    def __init__(self, region: Region, most: int) -> None:
+        rule = FLYING_RULE
+        if not legal((rule.near, rule.far), region).all():
+            raise ConfigError(f"region {region.name}: the rule's sets are not legal there")
+        self._near, self._far, self._within_m = rule.near, rule.far, rule.within_m
+        self._senses = Senses(most)
+
+    def choose(self, now_s: float, turn: Integers, state: State, rng: np.random.Generator) -> None:
+        """See `Chooser`."""
+        if not len(turn):
+            return
+        seen = self._senses.look(now_s, turn, state, rng)
+        limit = math.log10(self._within_m) / 4.0
+        near = seen.least_log_distance <= limit
+        state.air.rates[turn] = np.where(near[:, None], self._near, self._far)
+
+    def refused(self) -> float:
+        """See `Chooser`."""
+        return 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Observations of B aircraft."""
+
+    own: Floats
+    """(B, own columns)."""
+    rows: Float32s
+    """(R, neighbour columns): all neighbours, one aircraft after the other."""
+    count: Integers
+    """(B,): number of neighbours of each."""
+    least_log_distance: Floats
+    """(B,): least "log_distance"; infinite if nobody is heard."""
+
+
+class Senses:
+    """Builds observations.
+
+    Args:
+        most: most neighbours of one aircraft.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._rows = np.zeros((1, len(NEIGHBOUR_COLUMNS)), np.float32)
+
+    def look(self, now_s: float, turn: Integers, state: State, rng: np.random.Generator) -> Seen:
+        """The observations of the aircraft in these slots.
+
+        The share of packets that survive is that of `ground_tools.atmc.env`: of the nearest senders, with the chance of a
+        count over about ten seconds.
+        """
+        if len(self._rows) < len(turn) * self._most:
+            self._rows = np.zeros((len(turn) * self._most, len(NEIGHBOUR_COLUMNS)), np.float32)
+        count, least = np.zeros(len(turn), np.int64), np.zeros(len(turn))
+        sums = np.zeros((len(turn), 2, len(TRANSPORTS)))
+        near = np.zeros((FEWEST_SENDERS, 1 + 2 * len(TRANSPORTS)))
+        used = _observe(now_s, turn, self._most, state, self._rows, count, least, sums, near)
+        expected, arriving = sums[:, 0] * SHARE_MEMORY_S, sums[:, 1] * SHARE_MEMORY_S
+        measured = (expected >= FEWEST_EXPECTED).astype(float)
+        arrived = rng.poisson(arriving)
+        share = np.minimum(arrived / np.maximum(expected, 1e-9) / SCAN_SHARE, 1.0)
+        rates = state.air.rates[turn]
+        identity = np.array([identity_of(name_of(int(f))) for f in state.air.flight[turn]])
+        own = own_row(np, rates, share, measured, identity.reshape(len(turn), IDENTITY_BITS))
+        return Seen(own, self._rows[:used], count, least)
+
+
+def name_of(flight: int) -> str:
+    """Identity of a flight."""
+    return f"city-{flight:07d}"
+
+
+class ByPolicy:
+    """A frozen policy, with the fall-back of `companion.atmc.chooser`.
+
+    Args:
+        data, name: content and name of the policy's file.
+        region: whose law is kept.
+        slots: number of slots.
+        most: size of the tables of tracks.
+
+    Raises:
+        ConfigError: the file cannot be used, or the policy is none for any number of neighbours.
+    """
+
+    def __init__(self, data: bytes, name: str, region: Region, slots: int, most: int) -> None:
+        metadata, tensors = read(data, name)
+        policy = Policy(metadata, tensors, name)
+        if metadata.kind != "set" or tuple(metadata.neighbour_columns) != NEIGHBOUR_COLUMNS:
+            raise ConfigError(f"{name}: the city needs a policy of kind set, with all columns")
+        self._metadata, self._tensors = metadata, tensors
+        self._allowed: Bools = legal(policy.actions, region)
+        self._actions = np.array(policy.actions, np.int64)
+        fall_back = fixed(region, TRANSPORTS)
+        if fall_back is None or not self._allowed.any():
+            raise ConfigError(f"region {region.name}: no set of transports is legal")
+        self._fall_back = fall_back
+        self._most = most
+        self._senses = Senses(most)
+        self._doubts, self._flights = np.zeros(slots, np.int64), np.full(slots, NOBODY, np.int64)
+        self._decisions = self._refusals = 0
+
+    def choose(self, now_s: float, turn: Integers, state: State, rng: np.random.Generator) -> None:
+        """See `Chooser`."""
+        if not len(turn):
+            return
+        air = state.air
+        new = air.flight[turn] != self._flights[turn]
+        self._doubts[turn[new]], self._flights[turn] = 0, air.flight[turn]
+        seen = self._senses.look(now_s, turn, state, rng)
+        q, refused = self.values(seen)
+        current = (air.rates[turn][:, None] == self._actions).all(axis=2)
+        q = np.where(self._allowed, q + np.float32(self._metadata.switch_price) * current, -np.inf)
+        chosen = self._actions[q.argmax(axis=1)]
+        self._doubts[turn] = np.where(refused, _SURE_AGAIN, np.maximum(self._doubts[turn] - 1, 0))
+        follow, doubting = ~refused & (self._doubts[turn] == 0), ~refused & (self._doubts[turn] > 0)
+        kept = np.where(doubting[:, None], air.rates[turn], self._fall_back)
+        air.rates[turn] = np.where(follow[:, None], chosen, kept)
+        self._decisions += len(turn)
+        self._refusals += int((~follow).sum())
+
+    def refused(self) -> float:
+        """See `Chooser`."""
+        return self._refusals / max(self._decisions, 1)
+
+    def values(self, seen: Seen) -> tuple[Float32s, Bools]:
+        """Value of each action, (B, actions), and whether the policy refuses the observation, (B,)."""
+        bounds, distance = self._metadata.bounds, NEIGHBOUR_COLUMNS.index("log_distance")
+        low, high = (
+            np.array(b, np.float32) + np.float32(s)
+            for b, s in ((bounds.neighbour_low, -SLACK), (bounds.neighbour_high, SLACK))
+        )
+        owner = np.repeat(np.arange(len(seen.count)), seen.count)
+        near = ~(seen.rows[:, distance] > high[distance])
+        rows, owner = seen.rows[near], owner[near]
+        count = np.bincount(owner, minlength=len(seen.count))
+        bad = ~((rows >= low) & (rows <= high)).all(axis=1)
+        own = seen.own.astype(np.float32)
+        inside = (own >= np.array(bounds.own_low, np.float32) - np.float32(SLACK)) & (
+            own <= np.array(bounds.own_high, np.float32) + np.float32(SLACK)
+        )
+        refused = (count > self._metadata.neighbours) | ~inside.all(axis=1)
+        refused |= np.bincount(owner, bad, minlength=len(count)) > 0
+        keep = ~refused[owner]
+        values = set_values(self._tensors, own, rows[keep], np.where(refused, 0, count))
+        return values, refused | ~np.isfinite(values).all(axis=1)
+
+
+def set_values(tensors: Tensors, own: Float32s, rows: Float32s, count: Integers) -> Float32s:
+    """`companion.atmc.networks.SetNetwork` for many aircraft at once, (B, actions).
+
+    Args:
+        own: shape (B, own columns).
+        rows: shape (R, neighbour columns), one aircraft after the other.
+        count: shape (B,): number of rows of each.
+    """
+    hidden = tensors["phi1.bias"].shape[0]
+    pooled = np.zeros((len(own), 2 * hidden + own.shape[1]), np.float32)
+    end = np.cumsum(count)
+    first = 0
+    while first < len(own):
+        base = int(end[first] - count[first])
+        after = max(first + 1, int(np.searchsorted(end, base + _ROWS_AT_ONCE, side="right")))
+        some = np.arange(first, after)[count[first:after] > 0]
+        if len(some):
+            h = rows[base : int(end[after - 1])]
+            for layer in ("phi0", "phi1"):
+                h = np.maximum(h @ tensors[f"{layer}.weight"].T + tensors[f"{layer}.bias"], 0.0)
+            starts = end[some] - count[some] - base
+            pooled[some, :hidden] = np.log1p(np.add.reduceat(h, starts, axis=0))
+            pooled[some, hidden : 2 * hidden] = np.maximum.reduceat(h, starts, axis=0)
+        first = after
+    pooled[:, 2 * hidden :] = own
+    z = pooled
+    for layer in ("rho0", "rho1"):
+        z = np.maximum(z @ tensors[f"{layer}.weight"].T + tensors[f"{layer}.bias"], 0.0)
+    return np.asarray(z @ tensors["out.weight"].T + tensors["out.bias"], np.float32)
+
+
+@_compiled
+def _observe(
+    now: float, turn: Integers, most: int, state: State, rows: Float32s, counts: Integers, least: Floats,
+    sums: Floats, near: Floats,
+) -> int:  # fmt: skip
+    """Write what the aircraft in these slots hear. Returns the number of rows.
+
+    Args:
+        sums: shape (B, 2, 3): Locations per second of the nearest senders, and how many of them arrive.
+        near: shape (FEWEST_SENDERS, 7): written.
+    """
+    craft, air, tracks, links = state.craft, state.air, state.tracks, state.links
+    used = 0
+    for t in range(len(turn)):
+        i = turn[t]
+        least[t], first = math.inf, used
+        close = 0
+        near[:, 0] = math.inf
+        for e in range(links.start[i], links.start[i + 1]):
+            j, row = links.other[e], links.row[e]
+            if row == NOBODY or tracks.who[i, row] != air.flight[j] or used - first == most:
+                continue
+            heard = False
+            for m in range(len(SCAN_SHARE)):
+                rows[used, 5 + m] = 0.0
+                if now - tracks.on_s[i, row, m] <= HEARD_S:
+                    heard = True
+                    rows[used, 5 + m] = max(air.rates[j, m], 1) / 10.0
+                rows[used, 2 + m] = 1.0 if rows[used, 5 + m] > 0.0 else 0.0
+            if not heard:
+                continue
+            distance, closing = _relative(now, i, row, state)
+            rows[used, 0] = math.log10(max(distance, 1.0)) / 4.0
+            gap = max(distance - SEPARATION_M, 0.0)
+            ratio = gap / (max(closing, LEAST_CLOSING_MPS) * LOOK_AHEAD_S)
+            rows[used, 1] = 2.0 ** (-ratio * ratio)
+            least[t] = min(least[t], rows[used, 0])
+            close += int(distance <= NEAR_M)
+            _keep(distance, rows[used], links.chance[e], near, sums[t])
+            used += 1
+        counts[t] = used - first
+        if close < FEWEST_SENDERS:
+            sums[t] = 0.0
+            for n in range(len(near)):
+                if near[n, 0] < math.inf:
+                    for m in range(len(SCAN_SHARE)):
+                        sums[t, 0, m] += near[n, 1 + m]
+                        sums[t, 1, m] += near[n, 4 + m]
+    return used
+
+
+@_compiled
+def _keep(distance: float, row: Float32s, fails: Float32s, near: Floats, sums: Floats) -> None:
+    """Count a sender, if it is near, and keep it if it is among the nearest so far.
+
+    Args:
+        fails: log probability that one frame on a transport is not received.
+        near: the nearest senders, nearest first: distance, rates, arrivals.
+        sums: rates and arrivals of those within `NEAR_M`.
+    """
+    for m in range(len(SCAN_SHARE)):
+        if distance <= NEAR_M:
+            rate = 10.0 * row[5 + m]
+            sums[0, m] += rate
+            sums[1, m] -= rate * math.expm1(fails[m])
+    at = len(near)
+    while at > 0 and near[at - 1, 0] > distance:
+        at -= 1
+    if at == len(near):
+        return
+    for n in range(len(near) - 1, at, -1):
+        for c in range(near.shape[1]):
+            near[n, c] = near[n - 1, c]
+    near[at, 0] = distance
+    for m in range(len(SCAN_SHARE)):
+        near[at, 1 + m] = 10.0 * row[5 + m]
+        near[at, 4 + m] = -10.0 * row[5 + m] * math.expm1(fails[m])
+
+
+@_compiled
+def _relative(now: float, i: int, row: int, state: State) -> tuple[float, float]:
+    """Distance (m) of a track now, and the speed (m/s) at which it shrinks."""
+    craft, m = state.craft, state.tracks.heard[i, row]
+    age = max(now - m[M_TIME], 0.0)
+    square = product = 0.0
+    for c in range(3):
+        speed = m[M_VELOCITY + c]
+        away = m[M_POSITION + c] + age * speed - craft.position[i, c] - craft.error[i, c]
+        square += away * away
+        product += away * (speed - craft.velocity[i, c] - craft.own_error[i, c])
+    distance = math.sqrt(square)
+    return distance, -product / max(distance, 1.0)

@@ -1,0 +1,61 @@
+"""numba compilation of the city's functions, which call those of the campaign and of the law.
+
+Their cache folder depends on the state of all files whose functions are compiled into them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+from numba import config
+from numba.core.runtime.nrt import rtsys
+
+from companion.avoidance.kernels.compiled import LoadingCache
+from ground_tools.campaign import compiled as campaign
+
+Function = TypeVar("Function")
+_COMPILED = (
+    "flights",
+    "tables",
+    "links",
+    "tracks",
+    "judging",
+    "loop",
+    "measure",
+    "reception",
+    "draws",
+    "choosing",
+    "awareness",
+)
+SOURCES = (*campaign.SOURCES, *(Path(__file__).with_name(f"{name}.py") for name in _COMPILED))
+"""Source files whose functions and constants are compiled into the city's functions."""
+_STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
+
+
+class _CacheWithMemory(LoadingCache):
+    """Cache that loads functions with numba's memory runtime, which random generators need."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        rtsys.initialize(target_context)
+        return super().load_overload(sig, target_context)
+
+
+def compiled(**options: Any) -> Callable[[Function], Function]:
+    """`ground_tools.campaign.compiled.compiled` with a cache for each state of the city's files, too."""
+
+    def decorate(function: Function) -> Function:
+        made: Any = campaign.compiled(cache=False, **options)(function)
+        held = vars(config)["CACHE_DIR"]
+        vars(config)["CACHE_DIR"] = str(Path(__file__).parent / "__pycache__" / _STATE)
+        try:
+            if hasattr(made, "enable_caching"):
+                made.enable_caching()
+                made._cache = _CacheWithMemory(function)  # type: ignore[no-untyped-call]
+            return cast(Function, made)
+        finally:
+            vars(config)["CACHE_DIR"] = held
+
+    return decorate

@@ -1,0 +1,51 @@
+"""When messages arrive: draws by the chances that `reception` computed, in compiled code."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from companion.arrays import Floats, Integers
+from ground_tools.city.compiled import compiled
+from ground_tools.city.tables import Links
+
+
+class Frames(NamedTuple):
+    """The frames with which a message is repeated until the next one."""
+
+    period_s: float
+    """T_GNSS: time between two messages."""
+    offset_s: Floats
+    """(3,): time from the beginning of a frame to the end of the packet that delivers it, by transport."""
+    wait_s: Floats
+    """(M,): how long an aircraft's beacon waits for a free channel."""
+
+
+@compiled(forceinline=True)
+def draw_arrivals(
+    rng: np.random.Generator, now: float, j: int, slot: int, rates: Integers, links: Links, frames: Frames
+) -> None:
+    """Draw when each aircraft in reach receives a message that aircraft j sends now.
+
+    Until the next message, the frames of a transport with rate psi begin at intervals of T / psi, the first
+    at a random time within one interval. Each frame is received with the same probability, so the number
+    of frames that fail before the first success has a geometric distribution. The mean over many messages
+    is the mean delay of the equations, with which the probability was computed.
+    """
+    for e in range(links.start[j], links.start[j + 1]):
+        at = links.back[e]
+        arrival, by = math.inf, 0
+        for m in range(links.chance.shape[1]):
+            fails, rate = links.chance[at, m], rates[j, m]
+            if rate == 0 or fails == 0.0:
+                continue
+            number = math.floor(math.log(1.0 - rng.random()) / fails)
+            if number < rate:
+                when = now + (number + rng.random()) * frames.period_s / rate + frames.offset_s[m]
+                if m == 2:
+                    when += frames.wait_s[j]
+                arrival = min(arrival, when)
+                by |= 1 << m
+        links.arrival[at, slot], links.by[at, slot] = arrival, by

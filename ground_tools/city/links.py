@@ -1,0 +1,216 @@
+"""Who may receive whom: links between all aircraft within reach, found with a grid.
+
+Links are found anew every `simulation.LINKS_S`. Messages under way and the links' tracks are carried over.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from companion.arrays import Bools, Floats, Integers
+from ground_tools.campaign.vehicles import Fleet
+from ground_tools.city.compiled import compiled
+from ground_tools.city.tables import NEAR_MOST, NOBODY, Air, Links, Near, Numbers, new_links
+
+_MOST_CELLS = 256
+"""Most cells along one axis."""
+_compiled = compiled()
+
+
+class Grid:
+    """Working space of the search, and the links that it found last.
+
+    Args:
+        slots: number of slots.
+        reach_m: how far each transport reaches.
+        messages: number of messages that may be under way on a link.
+        near_m: pairs that are nearer than this are measured at every step.
+    """
+
+    def __init__(self, slots: int, reach_m: Floats, messages: int, near_m: float) -> None:
+        self._reach2 = np.asarray(reach_m, float) ** 2
+        self._near2 = near_m * near_m
+        self._messages, self._slots = messages, slots
+        self.links = new_links(slots, 1, messages)
+        self._spare = new_links(slots, 1, messages)
+        self._cell, self._sorted = np.zeros(slots, np.int64), np.zeros(slots, np.int64)
+        self._begin = np.zeros(_MOST_CELLS**2 + 2, np.int64)
+        self._cursor = np.zeros(slots, np.int64)
+        self._kept = np.zeros((2, NEAR_MOST), np.int32)
+
+    def find(self, position: Floats, air: Air, fresh: Bools) -> Links:
+        """Find the links for the present positions.
+
+        Args:
+            position: shape (slots, 3).
+            fresh: shape (slots,): the slot's aircraft is another one than at the last call.
+        """
+        work = self._cell, self._sorted, self._begin, self._cursor
+        needed = _count(position, air.flight, self._reach2, *work, self._spare.start)
+        if needed > len(self._spare.other):
+            self._spare = new_links(self._slots, needed + needed // 4, self._messages)
+            _count(position, air.flight, self._reach2, *work, self._spare.start)
+        _fill(position, air.flight, self._reach2, fresh, *work, self.links, self._spare)
+        self.links, self._spare = self._spare, self.links
+        return self.links
+
+    def pair(self, craft: Fleet, near: Near, fresh: Bools) -> int:
+        """Find the pairs to measure at every step. Returns how many found no room."""
+        return int(_pair(craft.position, self.links, self._near2, fresh, near, self._kept))
+
+
+@_compiled
+def _box(position: Floats, flight: Integers, reach: float) -> tuple[float, float, float, int, int]:
+    """Corner of the grid, width of its cells, and number of cells along north and east."""
+    low_n = low_e = math.inf
+    high_n = high_e = -math.inf
+    for i in range(len(flight)):
+        if flight[i] != NOBODY:
+            low_n, high_n = min(low_n, position[i, 0]), max(high_n, position[i, 0])
+            low_e, high_e = min(low_e, position[i, 1]), max(high_e, position[i, 1])
+    if low_n > high_n:
+        return 0.0, 0.0, reach, 1, 1
+    width = max(reach, max(high_n - low_n, high_e - low_e) / (_MOST_CELLS - 1))
+    return low_n, low_e, width, int((high_n - low_n) / width) + 1, int((high_e - low_e) / width) + 1
+
+
+@_compiled
+def _sort(
+    position: Floats, flight: Integers, reach: float, cell: Integers, order: Integers, begin: Integers
+) -> tuple[int, int]:
+    """Sort the aircraft by cells: cell c has the entries begin[c] to begin[c + 1] of `order`."""
+    low_n, low_e, width, rows, columns = _box(position, flight, reach)
+    begin[: rows * columns + 2] = 0
+    for i in range(len(flight)):
+        if flight[i] != NOBODY:
+            row, column = int((position[i, 0] - low_n) / width), int((position[i, 1] - low_e) / width)
+            cell[i] = row * columns + column
+            begin[cell[i] + 2] += 1
+    for c in range(2, rows * columns + 2):
+        begin[c] += begin[c - 1]
+    for i in range(len(flight)):
+        if flight[i] != NOBODY:
+            order[begin[cell[i] + 1]] = i
+            begin[cell[i] + 1] += 1
+    return rows, columns
+
+
+@_compiled
+def _apart2(position: Floats, i: int, j: int) -> float:
+    n, e, d = (
+        position[i, 0] - position[j, 0], position[i, 1] - position[j, 1], position[i, 2] - position[j, 2]
+    )  # fmt: skip
+    return float(n * n + e * e + d * d)
+
+
+@_compiled
+def _count(
+    position: Floats, flight: Integers, reach2: Floats, cell: Integers, order: Integers, begin: Integers,
+    cursor: Integers, start: Integers,
+) -> int:  # fmt: skip
+    """Write the first link of each receiver. Returns the number of links."""
+    most = reach2.max()
+    rows, columns = _sort(position, flight, math.sqrt(most), cell, order, begin)
+    start[:] = 0
+    for i in range(len(flight)):
+        if flight[i] == NOBODY:
+            continue
+        row, column = cell[i] // columns, cell[i] % columns
+        for r in range(max(row - 1, 0), min(row + 2, rows)):
+            low = begin[r * columns + max(column - 1, 0)]
+            for at in range(low, begin[r * columns + min(column + 1, columns - 1) + 1]):
+                if order[at] != i and _apart2(position, i, order[at]) <= most:
+                    start[i + 1] += 1
+    for i in range(len(flight)):
+        start[i + 1] += start[i]
+        cursor[i] = start[i]
+    return int(start[-1])
+
+
+@_compiled
+def _fill(
+    position: Floats, flight: Integers, reach2: Floats, fresh: Bools, cell: Integers, order: Integers,
+    begin: Integers, cursor: Integers, old: Links, new: Links,
+) -> None:  # fmt: skip
+    """Write the links. Senders are visited in rising order, so that each receiver's links are sorted."""
+    most = reach2.max()
+    _, _, _, rows, columns = _box(position, flight, math.sqrt(most))
+    for j in range(len(flight)):
+        if flight[j] == NOBODY:
+            continue
+        row, column = cell[j] // columns, cell[j] % columns
+        for r in range(max(row - 1, 0), min(row + 2, rows)):
+            low = begin[r * columns + max(column - 1, 0)]
+            for at in range(low, begin[r * columns + min(column + 1, columns - 1) + 1]):
+                i = order[at]
+                if i == j:
+                    continue
+                away2 = _apart2(position, i, j)
+                if away2 <= most:
+                    e = cursor[i]
+                    cursor[i] += 1
+                    new.other[e], new.row[e] = j, NOBODY
+                    modes = 0
+                    for m in range(len(reach2)):
+                        if away2 <= reach2[m]:
+                            modes |= 1 << m
+                        new.chance[e, m] = 0.0
+                    new.modes[e] = modes
+                    new.arrival[e, :] = math.inf
+    # Link (j, i) is met in the order of i, as it stands in the row of j.
+    for j in range(len(flight)):
+        cursor[j] = new.start[j]
+    for i in range(len(flight)):
+        for e in range(new.start[i], new.start[i + 1]):
+            j = new.other[e]
+            new.back[e] = cursor[j]
+            cursor[j] += 1
+        if not fresh[i]:
+            _carry(i, fresh, old, new)
+
+
+@_compiled
+def _carry(i: int, fresh: Bools, old: Links, new: Links) -> None:
+    """Carry over what is under way to receiver i."""
+    e, end = old.start[i], old.start[i + 1]
+    for at in range(new.start[i], new.start[i + 1]):
+        j = new.other[at]
+        while e < end and old.other[e] < j:
+            e += 1
+        if e < end and old.other[e] == j and not fresh[j]:
+            new.row[at] = old.row[e]
+            for s in range(new.arrival.shape[1]):
+                new.arrival[at, s], new.by[at, s] = old.arrival[e, s], old.by[e, s]
+            for m in range(new.chance.shape[1]):
+                new.chance[at, m] = old.chance[e, m]
+
+
+@_compiled
+def _pair(position: Floats, links: Links, near2: float, fresh: Bools, near: Near, kept_pairs: Numbers) -> int:
+    """Write the near pairs. Losses of separation that go on keep their numbers."""
+    overflow = 0
+    others, events = kept_pairs[0], kept_pairs[1]
+    for i in range(len(near.count)):
+        kept = 0
+        for n in range(near.count[i]):
+            j = near.other[i, n]
+            if near.event[i, n] != NOBODY and not fresh[i] and not fresh[j]:
+                others[kept], events[kept] = j, near.event[i, n]
+                kept += 1
+        count = 0
+        for e in range(links.start[i], links.start[i + 1]):
+            j = links.other[e]
+            if j >= i or _apart2(position, i, j) > near2:
+                continue
+            if count == NEAR_MOST:
+                overflow += 1
+                continue
+            near.other[i, count], near.event[i, count] = j, NOBODY
+            for n in range(kept):
+                if others[n] == j:
+                    near.event[i, count] = events[n]
+            count += 1
+        near.count[i] = count
+    return overflow

@@ -1,0 +1,185 @@
+"""The state of all aircraft in the air, in arrays that the compiled loop works on.
+
+An aircraft in the air has a *slot*, a row of these tables. What it hears has a *link*, and what it knows of
+another aircraft a *track*. All of them are bounded and allocated before the flight.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.arrays import Float32s, Floats, Integers
+from companion.avoidance import kernels as k
+from ground_tools.campaign.vehicles import MESSAGE_COLUMNS, Fleet, on_the_ground
+from ground_tools.campaign.world import Conditions
+from sitl_mocks.channel.parameters import MODES
+
+Numbers = NDArray[np.int32]
+NOBODY = -1
+NEAR_MOST = 32
+"""Most aircraft so near to one that the distance to them is measured at every step."""
+HISTORY = 256
+"""Length of the history of own velocities: at five decisions a second half of it is 25 s, more than the age
+of the oldest message."""
+BURST = 10
+"""Number of new tracks that are remembered to recognise those that appear together (`eviction.OPENED`)."""
+
+
+class Air(NamedTuple):
+    """M slots; NED, m and s."""
+
+    flight: Integers
+    """(M,): number of its flight, or NOBODY."""
+    begun_s: Floats
+    """(M,): when it departed."""
+    command: Floats
+    """(M, 3): last command of the law; this and the following are the fields of `kernels.State`."""
+    decided_s: Floats
+    """(M,)."""
+    quiet: Floats
+    """(M,)."""
+    late_s: Floats
+    """(M,)."""
+    samples: Integers
+    """(M,)."""
+    times_s: Floats
+    """(M, HISTORY)."""
+    velocities: Floats
+    """(M, HISTORY, 3)."""
+    rates: Integers
+    """(M, 3): Locations per second by transport, in the order of `MODES`."""
+    gap_m: Floats
+    """(M,): distance from its timed point."""
+    conflict: Floats
+    """(M,): 1 if the last decision saw a conflict."""
+
+
+class Tracks(NamedTuple):
+    """What each of M aircraft knows of up to K others."""
+
+    who: Numbers
+    """(M, K): number of the flight, or NOBODY."""
+    used: Integers
+    """(M,): rows from this one on are free."""
+    heard: Floats
+    """(M, K, MESSAGE_COLUMNS): the latest message."""
+    got_s: Floats
+    """(M, K): when it was received."""
+    past: Floats
+    """(M, K, columns of `kernels.Past`)."""
+    messages: Numbers
+    """(M, K): number of messages."""
+    threat_s: Floats
+    """(M, K): when it was last a threat."""
+    together: NDArray[np.bool_]
+    """(M, K): it appeared in a burst of new tracks."""
+    on_s: Float32s
+    """(M, K, 3): when it was last received on each transport."""
+    opened_s: Floats
+    """(M, BURST): when the last tracks appeared."""
+    opened: Integers
+    """(M,): how many appeared."""
+    counts: Integers
+    """(2,): tracks given up because a table was full, and newcomers refused."""
+
+
+class Links(NamedTuple):
+    """Who may receive whom: E links, sorted by receiver and sender."""
+
+    start: Integers
+    """(M + 1,): first link of each receiver."""
+    other: Numbers
+    """(E,): slot of the sender."""
+    back: Numbers
+    """(E,): the link in the opposite direction."""
+    row: Numbers
+    """(E,): track of the sender in the receiver's table; may be out of date (compare `Tracks.who`)."""
+    modes: NDArray[np.uint8]
+    """(E,): transports that carry the link, one bit each."""
+    arrival: Floats
+    """(E, slots): when each of the sender's latest messages arrives; infinite: never, or received."""
+    by: NDArray[np.uint8]
+    """(E, slots): transports on which that message arrives, one bit each."""
+    chance: Float32s
+    """(E, 3): log of the probability that one frame on a transport is not received, 0 or less."""
+
+
+class Near(NamedTuple):
+    """Pairs whose distance is measured at every step; each under the slot with the higher number."""
+
+    count: Integers
+    """(M,)."""
+    other: Numbers
+    """(M, NEAR_MOST)."""
+    event: Numbers
+    """(M, NEAR_MOST): number of the loss of separation that goes on, or NOBODY."""
+
+
+def new_fleet(slots: int, world: Conditions) -> Fleet:
+    """The campaign's fleet without its matrix of arrivals, for which `Links` stand here."""
+    few = on_the_ground(1, world)
+    made = [np.zeros((slots, *array.shape[1:]), array.dtype) for array in few[:-1]]
+    return Fleet(*made, np.full((slots, 1, few.sent.shape[1]), math.inf))
+
+
+def new_air(slots: int) -> Air:
+    """Empty slots."""
+    return Air(
+        flight=np.full(slots, NOBODY, np.int64),
+        begun_s=np.zeros(slots),
+        command=np.zeros((slots, 3)),
+        decided_s=np.full(slots, math.nan),
+        quiet=np.zeros(slots),
+        late_s=np.zeros(slots),
+        samples=np.zeros(slots, np.int64),
+        times_s=np.zeros((slots, HISTORY)),
+        velocities=np.zeros((slots, HISTORY, 3)),
+        rates=np.zeros((slots, len(MODES)), np.int64),
+        gap_m=np.zeros(slots),
+        conflict=np.zeros(slots),
+    )
+
+
+def new_tracks(slots: int, most: int) -> Tracks:
+    """Empty tables of up to `most` tracks for each slot."""
+    return Tracks(
+        who=np.full((slots, most), NOBODY, np.int32),
+        used=np.zeros(slots, np.int64),
+        heard=np.zeros((slots, most, MESSAGE_COLUMNS)),
+        got_s=np.zeros((slots, most)),
+        past=np.zeros((slots, most, len(k.NO_PAST))),
+        messages=np.zeros((slots, most), np.int32),
+        threat_s=np.zeros((slots, most)),
+        together=np.zeros((slots, most), bool),
+        on_s=np.zeros((slots, most, len(MODES)), np.float32),
+        opened_s=np.full((slots, BURST), -math.inf),
+        opened=np.zeros(slots, np.int64),
+        counts=np.zeros(2, np.int64),
+    )
+
+
+def new_links(slots: int, links: int, messages: int) -> Links:
+    """Room for so many links, each with so many messages under way."""
+    return Links(
+        start=np.zeros(slots + 1, np.int64),
+        other=np.zeros(links, np.int32),
+        back=np.zeros(links, np.int32),
+        row=np.zeros(links, np.int32),
+        modes=np.zeros(links, np.uint8),
+        arrival=np.zeros((links, messages)),
+        by=np.zeros((links, messages), np.uint8),
+        chance=np.zeros((links, len(MODES)), np.float32),
+    )
+
+
+def new_near(slots: int) -> Near:
+    """No pairs."""
+    return Near(
+        np.zeros(slots, np.int64),
+        np.zeros((slots, NEAR_MOST), np.int32),
+        np.full((slots, NEAR_MOST), NOBODY, np.int32),
+    )

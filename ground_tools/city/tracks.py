@@ -1,0 +1,217 @@
+"""What an aircraft knows of others: messages that arrive become tracks, and tracks the law's neighbours.
+
+As aboard (`companion.traffic`), a table holds a bounded number of tracks, learns from each message how far an
+aircraft deviates from its predictions, and gives up tracks in the order of `companion.traffic.eviction`. Here
+all senders sound alike, and nobody sends what is not true, so there are no doubts and no second places.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from companion.arrays import Floats, Integers
+from companion.avoidance import kernels as k
+from companion.avoidance.kernels.neighbours import Volume, volume_of
+from companion.avoidance.law import OLDEST_S
+from ground_tools.campaign.vehicles import M_POSITION, M_TIME, M_VELOCITY, MESSAGE_COLUMNS, Fleet
+from ground_tools.campaign.world import Conditions
+from ground_tools.city.compiled import compiled
+from ground_tools.city.judging import Judge, give_up, loss_s, threatens
+from ground_tools.city.tables import BURST, NOBODY, Air, Links, Tracks
+
+_OPENED_S = 2.0
+_FASTER = 1.1
+"""An aircraft flies at most this much faster than its law's greatest speed."""
+_NO_PAST = tuple(k.NO_PAST)
+_compiled = compiled()
+_inlined = compiled(forceinline=True)
+
+
+class Desk(NamedTuple):
+    """Tables for one decision, shared by all aircraft."""
+
+    neighbours: Floats
+    """(K, columns of `kernels.Other`)."""
+    order: Integers
+    """(K,): tracks in the order of their flights."""
+    standings: Integers
+    """(K + 1, `judging.COLUMNS`)."""
+    crowds: Integers
+    """(`judging.PLACES`,)."""
+
+
+@_inlined
+def receive(
+    now: float, world: Conditions, i: int, craft: Fleet, air: Air, tracks: Tracks, links: Links,
+    judge: Judge, desk: Desk,
+) -> None:  # fmt: skip
+    """Take the messages that aircraft i has received into its tracks."""
+    for e in range(links.start[i], links.start[i + 1]):
+        for s in range(links.arrival.shape[1]):
+            if links.arrival[e, s] <= now:
+                links.arrival[e, s] = math.inf
+                _take(now, world, i, e, s, craft, air, tracks, links, judge, desk)
+
+
+@_compiled
+def _take(
+    now: float, world: Conditions, i: int, e: int, s: int, craft: Fleet, air: Air, tracks: Tracks,
+    links: Links, judge: Judge, desk: Desk,
+) -> None:  # fmt: skip
+    """Take one message into the track of its sender."""
+    j, row = links.other[e], links.row[e]
+    who = air.flight[j]
+    if who == NOBODY:
+        return
+    if row == NOBODY or tracks.who[i, row] != who:
+        row = _find(i, who, tracks)
+        if row == NOBODY:
+            row = _open(now, world, i, craft.sent[j, s], who, craft, tracks, judge, desk)
+        links.row[e] = row
+        if row == NOBODY:
+            return
+    for m in range(tracks.on_s.shape[2]):
+        if links.by[e, s] & (1 << m):
+            tracks.on_s[i, row, m] = now
+    sent, heard = craft.sent[j, s], tracks.heard[i, row]
+    if sent[M_TIME] > heard[M_TIME]:
+        for c in range(MESSAGE_COLUMNS):
+            heard[c] = sent[c]
+        tracks.got_s[i, row] = now
+        tracks.messages[i, row] += 1
+        p, v = heard[M_POSITION:M_VELOCITY], heard[M_VELOCITY:MESSAGE_COLUMNS]
+        past = k.note_track(
+            k.past_at(tracks.past[i], row), heard[M_TIME], (p[0], p[1], p[2]), (v[0], v[1], v[2]),
+            world.declared_m,
+        )  # fmt: skip
+        k.put_past(tracks.past[i], row, past)
+        if 2 * tracks.used[i] >= tracks.who.shape[1] and threatens(now, world, i, row, craft, tracks, judge):
+            tracks.threat_s[i, row] = now
+
+
+@_compiled
+def _find(i: int, who: int, tracks: Tracks) -> int:
+    """The track of a flight, or NOBODY."""
+    for row in range(tracks.used[i]):
+        if tracks.who[i, row] == who:
+            return row
+    return NOBODY
+
+
+@_compiled
+def _open(
+    now: float, world: Conditions, i: int, sent: Floats, who: int, craft: Fleet, tracks: Tracks,
+    judge: Judge, desk: Desk,
+) -> int:  # fmt: skip
+    """Open a track. Returns its row, or NOBODY if everything else in the table is more important."""
+    oldest = tracks.opened_s[i, tracks.opened[i] % BURST]
+    together = now - oldest <= _OPENED_S
+    tracks.opened_s[i, tracks.opened[i] % BURST] = now
+    tracks.opened[i] += 1
+    row = NOBODY
+    for r in range(tracks.used[i]):
+        if tracks.who[i, r] == NOBODY:
+            row = r
+            break
+    if row == NOBODY and tracks.used[i] < tracks.who.shape[1]:
+        row = tracks.used[i]
+        tracks.used[i] += 1
+    if row == NOBODY:
+        row = give_up(now, world, i, sent, who, craft, tracks, judge, desk.standings, desk.crowds)
+        tracks.counts[0 if row != NOBODY else 1] += 1
+        if row == NOBODY:
+            return NOBODY
+    tracks.who[i, row] = who
+    tracks.heard[i, row, M_TIME] = -math.inf
+    tracks.messages[i, row] = 0
+    tracks.together[i, row] = together
+    for m in range(tracks.on_s.shape[2]):
+        tracks.on_s[i, row, m] = -math.inf
+    k.put_past(tracks.past[i], row, _NO_PAST)
+    away = loss_s(world, i, sent, max(now - sent[M_TIME], 0.0), 0.0, craft, judge)
+    tracks.threat_s[i, row] = now if away <= judge.ahead_s else -math.inf
+    return int(row)
+
+
+@_compiled
+def matters(own: k.Own, other: k.Other, volume: Volume, settings: k.Settings) -> bool:
+    """Whether a neighbour can make any difference to a decision.
+
+    If not, all velocities that we can fly satisfy its plane, and none of them enters its volume within the
+    time of the conflict test. The truncated cone of its velocity obstacle lies beyond (p - R) / tau, so that
+    u is at most our and its speed minus that.
+    """
+    n, e = other.n + other.age_s * other.vn, other.e + other.age_s * other.ve
+    stretch = max(volume.scale, 1.0)
+    speed = math.sqrt(other.vn * other.vn + other.ve * other.ve + other.vd * other.vd)
+    n, e = n - own.position.n, e - own.position.e
+    gap = math.sqrt(n * n + e * e) - volume.radius
+    if other.silent != 0.0:
+        gap -= other.age_s * speed
+    mine, theirs = _FASTER * stretch * settings.speed_mps, stretch * speed
+    plane = volume.horizon_s * (mine + theirs + 2.0 * mine / other.share)
+    look = max(settings.look_s, volume.horizon_s)
+    return gap < max(plane, look * (mine + theirs))
+
+
+@_inlined
+def look(
+    now: float, world: Conditions, i: int, own: k.Own, law: k.Settings, craft: Fleet, tracks: Tracks,
+    desk: Desk,
+) -> int:  # fmt: skip
+    """Write the aircraft that aircraft i knows, and that matter, to the desk. Returns their number.
+
+    They are sorted by their flights, so that the order of reception is irrelevant. Tracks that are too old
+    are removed.
+    """
+    count = 0
+    for row in range(tracks.used[i]):
+        who = tracks.who[i, row]
+        if who == NOBODY:
+            continue
+        if now + craft.clock[i] - tracks.heard[i, row, M_TIME] > OLDEST_S:
+            tracks.who[i, row] = NOBODY
+            continue
+        known = _known(now, world, i, row, craft, tracks)
+        if not matters(own, known, volume_of(known, own, law), law):
+            continue
+        at = count
+        while at > 0 and tracks.who[i, desk.order[at - 1]] > who:
+            desk.order[at] = desk.order[at - 1]
+            at -= 1
+        desk.order[at] = row
+        count += 1
+    for at in range(count):
+        k.put_other(desk.neighbours, at, _known(now, world, i, desk.order[at], craft, tracks))
+    return count
+
+
+@_compiled
+def _known(now: float, world: Conditions, i: int, row: int, craft: Fleet, tracks: Tracks) -> k.Other:
+    m = tracks.heard[i, row]
+    past = k.past_at(tracks.past[i], row)
+    silent = now - tracks.got_s[i, row] > k.silent_after(past.gap_s)
+    return k.Other(
+        m[M_POSITION], m[M_POSITION + 1], m[M_POSITION + 2],
+        m[M_VELOCITY], m[M_VELOCITY + 1], m[M_VELOCITY + 2],
+        max(now + craft.clock[i] - m[M_TIME], 0.0), world.declared_m, world.sigma_mps, past.growth_mps,
+        1.0 if silent else 0.0, 0.5, 1.0, 0.0, past.growth_down_mps,
+    )  # fmt: skip
+
+
+@_inlined
+def look_perfectly(i: int, own: k.Own, law: k.Settings, craft: Fleet, links: Links, desk: Desk) -> int:
+    """Write the true state of the aircraft within reach, if they matter. Returns their number; those beyond
+    the size of the table are left out."""
+    count, p, v = 0, craft.position, craft.velocity
+    for e in range(links.start[i], links.start[i + 1]):
+        j = links.other[e]
+        known = k.Other(
+            p[j, 0], p[j, 1], p[j, 2], v[j, 0], v[j, 1], v[j, 2],
+            0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 0.0, 0.0,
+        )  # fmt: skip
+        if count < len(desk.neighbours) and matters(own, known, volume_of(known, own, law), law):
+            k.put_other(desk.neighbours, count, known)
+            count += 1
+    return count
