@@ -1,4 +1,4 @@
-"""The cells of a study of cities: what is flown, what aircraft know of each other, and the outcome of a run."""
+"""The cells of a study of cities: what is flown, what aircraft know of each other, and the outcome."""
 
 from __future__ import annotations
 
@@ -23,13 +23,15 @@ from companion.shipped import shipped
 from companion.toml_reader import decode_toml
 from ground_tools.campaign.outcome import COLLISION_M
 from ground_tools.campaign.world import World
-from ground_tools.city import awareness, demand, intentions, measure
-from ground_tools.city.choosing import ByPolicy, ByRule, Chooser, Fixed
-from ground_tools.city.demand import Demand
+from ground_tools.city import measure
 from ground_tools.city.flights import Flights, flights_of
 from ground_tools.city.loop import GIVEN, PERFECT, RADIO
-from ground_tools.city.reception import AnalyticRadio
+from ground_tools.city.radio import awareness
+from ground_tools.city.radio.choosing import ByPolicy, ByRule, Chooser, Fixed
+from ground_tools.city.radio.reception import AnalyticRadio
 from ground_tools.city.simulation import PART_S, Result, Simulation
+from ground_tools.city.traffic import demand, intentions
+from ground_tools.city.traffic.demand import Demand
 from ground_tools.common.kept_lines import Kept
 from ground_tools.results import sources
 from sitl_mocks.channel.link_budget import ranges_m
@@ -63,7 +65,7 @@ class City(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """radio: what the channel equations let through. given: messages with `delay_s` and `loss`. perfect: the
     true state of all within 2.5 km."""
     transports: str = "policy"
-    """One of `TRANSPORTS`: one transport for all, the best fixed legal set, the rule, or the frozen policy."""
+    """One of `TRANSPORTS`: one transport for all, the best fixed legal set, the rule, or the policy."""
     region: Literal["none", "us", "eu"] = "none"
     load: Annotated[float, Meta(ge=0, lt=1)] = 0.0
     """Share of time for which foreign transmissions fill the Wi-Fi channel."""

@@ -17,20 +17,13 @@ from companion.avoidance.kernels.compiled import LoadingCache
 from ground_tools.campaign import compiled as campaign
 
 Function = TypeVar("Function")
-_COMPILED = (
-    "flights",
-    "tables",
-    "links",
-    "tracks",
-    "judging",
-    "loop",
-    "measure",
-    "reception",
-    "draws",
-    "choosing",
-    "awareness",
+_COMPILED = ("flights", "tables", "links", "tracks", "judging", "loop", "measure")
+_OF_RADIO = ("draws", "reception", "choosing", "awareness")
+SOURCES = (
+    *campaign.SOURCES,
+    *(Path(__file__).with_name(f"{name}.py") for name in _COMPILED),
+    *(Path(__file__).parent / "radio" / f"{name}.py" for name in _OF_RADIO),
 )
-SOURCES = (*campaign.SOURCES, *(Path(__file__).with_name(f"{name}.py") for name in _COMPILED))
 """Source files whose functions and constants are compiled into the city's functions."""
 _STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
 

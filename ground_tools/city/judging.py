@@ -1,4 +1,4 @@
-"""Which track a full table gives up: `companion.traffic.eviction` in compiled code, for senders that sound alike.
+"""Which track a full table gives up: `companion.traffic.eviction` in compiled code, if all sound alike.
 
 Tests compare the result with `eviction.Ranking`.
 """

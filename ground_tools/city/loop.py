@@ -1,7 +1,7 @@
 """The steps of all aircraft in the air, in compiled code: send, receive, decide, move, measure.
 
-One step is that of `ground_tools.campaign.flight`, with the same vehicles, messages and decisions, in the same order and with
-the same draws. Tests compare the commands of both, bit for bit.
+One step is that of `ground_tools.campaign.flight`, with the same vehicles, messages and decisions, in the
+same order and with the same draws. Tests compare the commands of both, bit for bit.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from companion.avoidance import kernels as k
 from ground_tools.campaign.vehicles import Fleet, move, send
 from ground_tools.campaign.world import Conditions
 from ground_tools.city.compiled import compiled
-from ground_tools.city.draws import Frames, draw_arrivals
 from ground_tools.city.flights import Flights
 from ground_tools.city.judging import Judge
 from ground_tools.city.measure import Tally, measure, note_decision
+from ground_tools.city.radio.draws import Frames, draw_arrivals
 from ground_tools.city.tables import NOBODY, Air, Links, Near, Tracks
 from ground_tools.city.tracks import Desk, look, look_perfectly, receive
 

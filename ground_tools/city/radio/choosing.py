@@ -132,8 +132,8 @@ class Senses:
     def look(self, now_s: float, turn: Integers, state: State, rng: np.random.Generator) -> Seen:
         """The observations of the aircraft in these slots.
 
-        The share of packets that survive is that of `ground_tools.atmc.env`: of the nearest senders, with the chance of a
-        count over about ten seconds.
+        The share of packets that survive is that of the nearest senders, with the chance of a count over
+        about ten seconds.
         """
         if len(self._rows) < len(turn) * self._most:
             self._rows = np.zeros((len(turn) * self._most, len(NEIGHBOUR_COLUMNS)), np.float32)
@@ -274,7 +274,7 @@ def _observe(
         sums: shape (B, 2, 3): Locations per second of the nearest senders, and how many of them arrive.
         near: shape (FEWEST_SENDERS, 7): written.
     """
-    craft, air, tracks, links = state.craft, state.air, state.tracks, state.links
+    air, tracks, links = state.air, state.tracks, state.links
     used = 0
     for t in range(len(turn)):
         i = turn[t]

@@ -13,8 +13,8 @@ import numpy as np
 from companion.arrays import AnyFloats
 from companion.errors import ConfigError
 from ground_tools.campaign.scenarios import bluesky, metropolis
-from ground_tools.city.demand import CLIMB_MPS, HIGHEST_M, LOWEST_M, PAD_M, PURPOSES
 from ground_tools.city.flights import Wish
+from ground_tools.city.traffic.demand import CLIMB_MPS, HIGHEST_M, LOWEST_M, PAD_M, PURPOSES
 
 RESERVE = 0.75
 """Planned speed as a share of the greatest speed."""
