@@ -15,6 +15,7 @@ _EXAMPLES = """examples:
   ground-tools fly udpin://0.0.0.0:14550 --takeoff 30 --mission survey.plan --start --land
   ground-tools orca check cases.json
   ground-tools campaign run --generator S2 --aircraft 5 --seeds 1-1000
+  ground-tools city --density 10 --size 5 5 --transports policy
   ground-tools channel table --sides 500 --rates 9
   ground-tools paper all
   ground-tools atmc train --algorithm madqn --seeds 1-5
@@ -43,6 +44,7 @@ COMMANDS: Final = (
     ("orca", "ground_tools.orca_check", "check the avoidance kernels"),
     ("channel", "ground_tools.channel.command", "show delay and loss of the radio channel model"),
     ("campaign", "ground_tools.campaign.command", "fly thousands of simulated encounters"),
+    ("city", "ground_tools.city.command", "fly thousands of aircraft over a city, each with law and radio"),
     (
         "atmc",
         "ground_tools.atmc.commands.command",

@@ -98,6 +98,14 @@ def _sort(
 
 
 @_compiled
+def _largest(values: Floats) -> float:
+    most = 0.0
+    for value in values:
+        most = max(most, value)
+    return most
+
+
+@_compiled
 def _apart2(position: Floats, i: int, j: int) -> float:
     n, e, d = (
         position[i, 0] - position[j, 0], position[i, 1] - position[j, 1], position[i, 2] - position[j, 2]
@@ -111,7 +119,7 @@ def _count(
     cursor: Integers, start: Integers,
 ) -> int:  # fmt: skip
     """Write the first link of each receiver. Returns the number of links."""
-    most = reach2.max()
+    most = _largest(reach2)
     rows, columns = _sort(position, flight, math.sqrt(most), cell, order, begin)
     start[:] = 0
     for i in range(len(flight)):
@@ -135,7 +143,7 @@ def _fill(
     begin: Integers, cursor: Integers, old: Links, new: Links,
 ) -> None:  # fmt: skip
     """Write the links. Senders are visited in rising order, so that each receiver's links are sorted."""
-    most = reach2.max()
+    most = _largest(reach2)
     _, _, _, rows, columns = _box(position, flight, math.sqrt(most))
     for j in range(len(flight)):
         if flight[j] == NOBODY:

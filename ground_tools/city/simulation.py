@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from companion.arrays import Bools, Floats
+from companion.arrays import Bools, Floats, Integers
 from companion.avoidance import kernels as k
 from companion.config import AvoidanceConfig, TrafficConfig
 from ground_tools.campaign.vehicles import AVOIDS, Fleet, begin
@@ -57,6 +57,10 @@ class Result:
     in_the_air: int
     arrived: int
     step_s: float
+    due_s: Floats
+    """(F,): when each flight was due."""
+    purpose: Integers
+    """(F,): index into `demand.PURPOSES`."""
     waited_s: Floats
     """(F,): how long each flight waited for its departure; NaN: it did not depart."""
     near_overflow: int
@@ -230,6 +234,8 @@ class Simulation:
             in_the_air=int((self.state.air.flight != NOBODY).sum()),
             arrived=int(np.isfinite(tally[:, T_ENDED]).sum()),
             step_s=self._world.step_s,
+            due_s=self._flights.depart_s,
+            purpose=self._flights.purpose,
             waited_s=self._waited,
             near_overflow=self._overflow,
         )

@@ -1,0 +1,259 @@
+"""The command `ground-tools city`: flies many aircraft over a city and reports what became of them."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from rich.console import Console
+
+from companion.errors import ConfigError
+from companion.shipped import given
+from ground_tools.channel import options
+from ground_tools.city import cells, parquet
+from ground_tools.city.cells import TRANSPORTS, City, Row
+from ground_tools.city.traffic.demand import PATTERNS, Demand
+from ground_tools.common.progress import progress
+from ground_tools.common.run_options import processes_of, seeds_of
+from ground_tools.common.workers import in_parallel
+
+EXAMPLE = "ground-tools city --density 10 --size 10 10 --transports policy --seeds 1-5 --out runs/city"
+_MOST_AIRCRAFT = 20_000
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Add the options of `ground-tools city`."""
+    command.formatter_class = argparse.RawDescriptionHelpFormatter
+    command.epilog = f"example: {EXAMPLE}"
+    add, city, drawn = command.add_argument, City(), Demand()
+    add("--pattern", choices=PATTERNS, default=drawn.pattern,
+        help=f"who flies where (default: {drawn.pattern})")  # fmt: skip
+    add(
+        "--density",
+        type=float,
+        default=drawn.per_km2,
+        metavar="N",
+        help=f"aircraft in the air on a square kilometre, as planned (default: {drawn.per_km2:g})",
+    )
+    add("--size", type=float, nargs=2, default=(10.0, 10.0), metavar=("KM", "KM"),
+        help="the city from south to north and from west to east (default: 10 10)")  # fmt: skip
+    add("--heights", choices=("layers", "free"), default=drawn.heights,
+        help=f"heights by direction of flight, or any (default: {drawn.heights})")  # fmt: skip
+    add("--speed", type=float, default=drawn.speed_mps, metavar="M/S",
+        help=f"greatest speed of each aircraft (default: {drawn.speed_mps:g})")  # fmt: skip
+    add(
+        "--flights",
+        type=Path,
+        metavar="FILE",
+        help="fly flight intentions of Metropolis 2 (.csv) or a scenario of BlueSky (.scn) instead",
+    )
+    add("--from", type=float, default=0.0, metavar="S", dest="from_s",
+        help="time in that file at which the run begins, in seconds (default: 0)")  # fmt: skip
+    add("--minutes", type=float, default=city.duration_s / 60.0, metavar="N",
+        help=f"length of a run (default: {city.duration_s / 60.0:g})")  # fmt: skip
+    add("--settle", type=float, default=city.settle_s, metavar="S",
+        help=f"count what happens from this second on (default: {city.settle_s:g})")  # fmt: skip
+    add("--law", choices=("dmuca", "none"), default=city.law,
+        help=f"the companion's law, or nobody avoids (default: {city.law})")  # fmt: skip
+    add("--knows", choices=("radio", "given", "perfect"), default=city.knows,
+        help="how aircraft know of each other: by the channel equations, by messages with --delay and "
+        f"--loss, or perfectly (default: {city.knows})")  # fmt: skip
+    add("--transports", choices=TRANSPORTS, default=city.transports,
+        help=f"who chooses the transports (default: {city.transports})")  # fmt: skip
+    add("--region", choices=("none", "us", "eu"), default=city.region,
+        help=f"whose law the sets of transports keep (default: {city.region})")  # fmt: skip
+    add("--load", type=float, default=city.load, metavar="SHARE",
+        help="share of time for which others fill the Wi-Fi channel, 0 to 1 (default: 0)")  # fmt: skip
+    add(
+        "--delay",
+        type=float,
+        nargs=2,
+        default=city.delay_s,
+        metavar=("A", "B"),
+        help="with --knows given: delay of each message, from A to B seconds (default: 0 1)",
+    )
+    add("--loss", type=float, default=city.loss, metavar="SHARE",
+        help="with --knows given: share of messages that are lost, 0 to 1 (default: 0)")  # fmt: skip
+    add("--reach", type=float, default=city.reach_m, metavar="M",
+        help=f"with --knows given: how far messages reach (default: {city.reach_m:g})")  # fmt: skip
+    add("--seeds", default="1-1", metavar="FROM-TO", help="range of seeds, one run each (default: 1-1)")
+    add(
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help="keep results in this folder, also as Parquet, and do not repeat runs that are there",
+    )
+    add("--jobs", type=int, metavar="N", help="runs at the same time (default: one per core)")
+    add("--json", action="store_true", help="print one JSON object instead of text")
+    command.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `ground-tools city`. Returns 0.
+
+    Raises:
+        ConfigError: an option is wrong, or a file cannot be read or written.
+    """
+    city, seeds = city_of(args), seeds_of(args.seeds)
+    began = time.perf_counter()
+    rows, flown = fly_missing(city, seeds, args.out, processes_of(args.jobs, "jobs"), Console(stderr=True))
+    found = summary(rows)
+    found |= {"flown": flown, "wall_s": round(time.perf_counter() - began, 3)}
+    if args.json:
+        print(json.dumps(found, allow_nan=False))
+        return 0
+    words = Console()
+    for line in lines(city, found):
+        words.print(line, highlight=False, soft_wrap=True)
+    return 0
+
+
+def city_of(args: argparse.Namespace) -> City:
+    """The runs that the options ask for.
+
+    Raises:
+        ConfigError: an option is wrong.
+    """
+    north_km, east_km = args.size
+    low, high = args.delay
+    if not 0.0 <= low <= high <= 15.0:
+        raise ConfigError(f"--delay: {low:g} {high:g}; allowed: two rising numbers from 0 to 15")
+    try:
+        wanted = msgspec.convert(
+            {
+                "pattern": args.pattern,
+                "per_km2": args.density,
+                "north_m": 1000.0 * north_km,
+                "east_m": 1000.0 * east_km,
+                "heights": args.heights,
+                "speed_mps": args.speed,
+            },
+            Demand,
+        )
+        city = City(
+            demand=wanted,
+            flights=None if args.flights is None else str(given(str(args.flights))),
+            from_s=args.from_s,
+            duration_s=60.0 * args.minutes,
+            settle_s=args.settle,
+            law=args.law,
+            knows=args.knows,
+            transports=args.transports,
+            region=args.region,
+            load=args.load,
+            delay_s=(low, high),
+            loss=args.loss,
+            reach_m=args.reach,
+        )
+        city = msgspec.convert(msgspec.to_builtins(city), City)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"the options are not allowed: {error}") from error
+    if city.flights is None and wanted.aircraft > _MOST_AIRCRAFT:
+        raise ConfigError(
+            f"--density: {wanted.aircraft:,.0f} aircraft in the air; allowed: up to {_MOST_AIRCRAFT:,}"
+        )
+    if city.settle_s >= city.duration_s:
+        raise ConfigError(f"--settle: {city.settle_s:g}; allowed: less than the length of a run")
+    return city
+
+
+def fly_missing(
+    city: City, seeds: Sequence[int], folder: Path | None, jobs: int, words: Console
+) -> tuple[list[Row], int]:
+    """Fly the seeds that the folder does not hold. Returns the rows of all, in their order, and the number
+    flown.
+
+    Args:
+        folder: folder in which results are stored and looked up; None: they are not stored.
+        jobs: number of worker processes.
+
+    Raises:
+        ConfigError: a file cannot be read or written, or a setting cannot be used.
+    """
+    rows: dict[int, Row] = {}
+    file = None
+    if folder is not None:
+        options.make_folder(folder)
+        parquet.check()
+        file = cells.kept(folder, city)
+        rows = dict(file.rows)
+    missing = [seed for seed in seeds if seed not in rows]
+    work = functools.partial(_fly, city, folder)
+    with progress("runs", len(missing)) as advance:
+        for _, row in in_parallel(work, missing, jobs, words):
+            rows[row.seed] = row
+            if file is not None:
+                file.add([row])
+            advance()
+    found = [rows[seed] for seed in seeds]
+    if folder is not None:
+        parquet.write_runs(folder / f"{city.name}.parquet", city, list(rows.values()), EXAMPLE)
+    return found, len(missing)
+
+
+def _fly(city: City, folder: Path | None, seed: int) -> Row:
+    row, result = cells.fly(city, seed)
+    if folder is not None:
+        parquet.write_flights(folder / f"{city.name}-{seed}-flights.parquet", result)
+        parquet.write_losses(folder / f"{city.name}-{seed}-losses.parquet", result)
+    return row
+
+
+def summary(rows: Sequence[Row]) -> dict[str, Any]:
+    """What is reported of some runs: sums of what is counted, and means of shares and times."""
+    hours = sum(row.flight_h for row in rows)
+    found: dict[str, Any] = {"runs": len(rows)}
+    for name, kind in Row.__annotations__.items():
+        values = [value for row in rows if (value := getattr(row, name)) is not None]
+        if name == "seed":
+            continue
+        if name == "least_m":
+            found[name] = min(values, default=None)
+        elif kind == "int" or name == "flight_h":
+            found[name] = round(sum(values), 4)
+        else:
+            found[name] = round(float(np.mean(values)), 5) if values else None
+    for name in ("losses", "cruise_losses", "collisions"):
+        found[f"{name}_per_flight_h"] = round(found[name] / hours, 6) if hours > 0.0 else None
+    return found
+
+
+def lines(city: City, found: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    heard = city.transports if city.knows == "radio" else city.knows
+    text = [
+        f"{city.demand.pattern if city.flights is None else city.flights}, law {city.law}, {heard}: "
+        f"{found['runs']} runs, {found['flights']:,} flights, {found['flight_h']:,.1f} hours of flight",
+        f"arrived {found['arrived']:,}, in the air at the end {found['in_the_air']:,}, waiting for departure "
+        f"{found['waiting']:,}, not due {found['not_due']:,}",
+        f"losses of separation {found['losses']:,} ({_of(found['losses_per_flight_h'])} an hour of flight), "
+        f"in cruise {found['cruise_losses']:,}, collisions {found['collisions']:,}",
+        f"distance from the timed point {found['deviation_m']:.1f} m on average, largest of a flight "
+        f"{found['largest_deviation_m']:.1f} m in the median, delay {found['late_s']:.1f} s",
+        f"decisions in conflict {found['conflict']:.1%}, without a velocity that keeps all planes "
+        f"{found['infeasible']:.2%}",
+    ]
+    if found["age_s"] is not None:
+        text.append(
+            f"within 500 m: age of information {found['age_s']:.2f} s, older than 3 s {found['old']:.2%}, "
+            f"unheard {found['unheard']:.2%}"
+        )
+    if found["wifi_load"] is not None:
+        text.append(
+            f"Wi-Fi load {found['wifi_load']:.2f}; Locations a second: BLE 4 {found['ble4']:.1f}, BLE 5 "
+            f"{found['ble5']:.1f}, Wi-Fi {found['wifi']:.1f}; fall-back {found['refused']:.1%}"
+        )
+    text.append(f"{found['flown']} runs flown in {found['wall_s']:.1f} s")
+    return text
+
+
+def _of(rate: float | None) -> str:
+    return "-" if rate is None or math.isnan(rate) else f"{rate:.4g}"

@@ -1,0 +1,115 @@
+"""Writes the results of cities as Parquet, each with the record of what made it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from companion.errors import ConfigError
+from companion.shipped import how_to_install
+from ground_tools.city import measure
+from ground_tools.city.cells import CHANNEL, POLICY, ROOTS, City, Row
+from ground_tools.city.simulation import Result
+from ground_tools.city.traffic.demand import PURPOSES
+from ground_tools.results import provenance
+
+_FLIGHTS: Final = {
+    "begun_s": measure.T_BEGUN,
+    "ended_s": measure.T_ENDED,
+    "least_m": measure.T_LEAST,
+    "largest_deviation_m": measure.T_GAP_MOST,
+    "way_m": measure.T_FLOWN,
+    "late_s": measure.T_LATE,
+    "manoeuvres": measure.T_MANOEUVRES,
+}
+_LOSSES: Final = {
+    "time_s": measure.L_TIME,
+    "first": measure.L_FIRST,
+    "second": measure.L_SECOND,
+    "least_m": measure.L_LEAST,
+    "north_m": measure.L_NORTH,
+    "east_m": measure.L_EAST,
+    "down_m": measure.L_DOWN,
+    "terminal": measure.L_TERMINAL,
+}
+
+
+def check() -> None:
+    """Check that Parquet can be written.
+
+    Raises:
+        ConfigError: pyarrow is not installed.
+    """
+    _parquet()
+
+
+def write_runs(path: Path, city: City, rows: Sequence[Row], command: str) -> None:
+    """Write the runs of a cell, a row each, and the record of what made them beside it.
+
+    Args:
+        command: the command that makes such a file.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
+    columns: dict[str, Any] = {
+        name: [getattr(row, name) for row in sorted(rows, key=lambda row: row.seed)]
+        for name in Row.__struct_fields__
+    }
+    _write(path, columns, {"city": msgspec.json.encode(city).decode()})
+    data = [CHANNEL, *([POLICY] if city.transports == "policy" else [])]
+    provenance.write(path, provenance.now(command, ROOTS, data, ("numpy", "numba")))
+
+
+def write_flights(path: Path, result: Result) -> None:
+    """Write the flights of a run, a row each. What is infinite or not a number is empty.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
+    tally = result.state.tally.flights
+    columns: dict[str, Any] = {"flight": np.arange(len(tally))}
+    columns["purpose"] = [PURPOSES[p] for p in result.purpose.tolist()]
+    columns["due_s"], columns["waited_s"] = result.due_s, result.waited_s
+    columns |= {name: tally[:, column] for name, column in _FLIGHTS.items()}
+    columns["mean_deviation_m"] = tally[:, measure.T_GAP_SUM] / np.maximum(tally[:, measure.T_STEPS], 1.0)
+    _write(path, columns, {})
+
+
+def write_losses(path: Path, result: Result) -> None:
+    """Write the losses of separation of a run, a row each.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
+    losses = result.state.tally.losses[: int(result.state.tally.count[0])]
+    columns: dict[str, Any] = {name: losses[:, column] for name, column in _LOSSES.items()}
+    columns |= {name: columns[name].astype(int) for name in ("first", "second")}
+    columns["terminal"] = columns["terminal"] != 0.0
+    _write(path, columns, {})
+
+
+def _write(path: Path, columns: dict[str, Any], said: dict[str, str]) -> None:
+    pa, pq = _parquet()
+    arrays = {}
+    for name, values in columns.items():
+        if isinstance(values, np.ndarray) and values.dtype == np.float64:
+            values = np.where(np.isfinite(values), values, np.nan)
+        arrays[name] = pa.array(values, from_pandas=True)
+    try:
+        pq.write_table(pa.table(arrays).replace_schema_metadata(said), path)
+    except OSError as error:
+        raise ConfigError(f"--out: {path}: cannot be written: {error}") from error
+
+
+def _parquet() -> tuple[Any, Any]:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise ConfigError(how_to_install("pyarrow", "inspect")) from error
+    return pa, pq

@@ -1,0 +1,91 @@
+"""`ground-tools city`: whole runs, that are repeated bit for bit, accounted for, kept and continued."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.errors import ConfigError
+from ground_tools.city import cells
+from ground_tools.city.cells import City
+from ground_tools.city.command import add_arguments, city_of
+from ground_tools.city.measure import T_BEGUN, T_ENDED
+from ground_tools.city.traffic.demand import Demand
+from ground_tools.cli import main
+
+SMALL = City(
+    demand=Demand(pattern="inspections", per_km2=12.0, north_m=1000.0, east_m=1000.0),
+    duration_s=30.0,
+    settle_s=5.0,
+)
+ARGUMENTS = ["city", "--pattern", "inspections", "--density", "12", "--size", "1", "1", "--minutes", "0.5"]
+
+
+@pytest.mark.parametrize("transports", ["rule", "policy"])
+def test_two_runs_of_one_seed_agree_bit_for_bit(transports: str) -> None:
+    city = msgspec.structs.replace(SMALL, transports=transports)
+    (first, one), (second, other) = (cells.fly(city, 2) for _ in range(2))
+    assert first == second
+    assert np.array_equal(one.state.tally.flights, other.state.tally.flights, equal_nan=True)
+    assert np.array_equal(one.state.craft.position, other.state.craft.position)
+    assert first.age_s is not None
+    assert first.age_s > 0.3
+    assert first.wifi > 0.0
+
+
+def test_every_flight_is_accounted_for() -> None:
+    row, result = cells.fly(msgspec.structs.replace(SMALL, duration_s=120.0, knows="perfect"), 1)
+    assert row.flights == row.arrived + row.in_the_air + row.waiting + row.not_due
+    assert row.arrived > 0
+    assert row.in_the_air > 0
+    tally = result.state.tally.flights
+    assert np.isfinite(tally[:, T_BEGUN]).sum() == row.arrived + row.in_the_air
+    assert (tally[:, T_ENDED] > tally[:, T_BEGUN]).sum() == row.arrived
+
+
+def test_nobody_avoids_and_separation_is_lost() -> None:
+    crowd = msgspec.structs.replace(SMALL.demand, pattern="event", per_km2=60.0, heights="free")
+    lost, _ = cells.fly(msgspec.structs.replace(SMALL, demand=crowd, law="none", knows="perfect"), 3)
+    kept, _ = cells.fly(msgspec.structs.replace(SMALL, demand=crowd, knows="perfect"), 3)
+    assert lost.losses > 0
+    assert kept.losses < lost.losses
+    assert kept.conflict > 0.0 == lost.conflict
+
+
+def test_the_command_keeps_and_continues_its_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    options = [*ARGUMENTS, "--knows", "perfect", "--out", str(tmp_path), "--jobs", "1", "--json"]
+    assert main([*options, "--seeds", "1-1"]) == 0
+    assert json.loads(capsys.readouterr().out)["flown"] == 1
+    assert main([*options, "--seeds", "1-2"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["runs"], found["flown"]) == (2, 1)
+    (runs,) = [p for p in tmp_path.glob("*.parquet") if p.with_name(p.name + ".made.json").exists()]
+    table = pq.read_table(runs)
+    assert table["seed"].to_pylist() == [1, 2]
+    assert msgspec.json.decode(table.schema.metadata[b"city"])["knows"] == "perfect"
+    flights = pq.read_table(next(iter(tmp_path.glob("*-1-flights.parquet"))))
+    assert flights.num_rows == table["flights"][0].as_py()
+    assert len(list(tmp_path.glob("*-losses.parquet"))) == 2
+
+
+def test_wrong_options_are_refused() -> None:
+    for options, words in (
+        (["--density", "190", "--size", "20", "20"], "up to 20,000"),
+        (["--density", "-1"], "per_km2"),
+        (["--settle", "600"], "--settle"),
+        (["--delay", "3", "1"], "--delay"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            cells_of(options)
+
+
+def cells_of(options: list[str]) -> City:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return city_of(parser.parse_args(options))

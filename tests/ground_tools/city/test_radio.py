@@ -1,0 +1,115 @@
+"""The city's radio: the chances are those of the channel equations, and the choices those aboard."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.arrays import Floats, Integers
+from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
+from companion.atmc.policy import load
+from companion.remote_id.region import Region
+from companion.shipped import shipped
+from ground_tools.campaign.world import World
+from ground_tools.city.cells import CHANNEL, POLICY
+from ground_tools.city.links import Grid
+from ground_tools.city.loop import State
+from ground_tools.city.measure import new_tally
+from ground_tools.city.radio.choosing import ByPolicy, Fixed, Seen
+from ground_tools.city.radio.draws import draw_arrivals
+from ground_tools.city.radio.reception import AnalyticRadio
+from ground_tools.city.tables import new_air, new_fleet, new_near, new_tracks
+from sitl_mocks.channel import Analytic, ChannelParameters, Fleet, all_links, draw_positions, load_parameters
+from sitl_mocks.channel.link_budget import ranges_m
+
+AIRCRAFT = 10
+
+
+def radio_of(
+    parameters: ChannelParameters, rates: Integers, positions: Floats
+) -> tuple[AnalyticRadio, State]:
+    """A radio that has computed the chances of aircraft at rest."""
+    world, slots = World(delay_s=(0.0, 0.0)).conditions(0.2), len(positions)
+    craft, air = new_fleet(slots, world), new_air(slots)
+    craft.position[:], air.rates[:] = positions, rates
+    air.flight[:] = np.arange(slots)
+    grid = Grid(slots, ranges_m(parameters), craft.sent.shape[1], 1.0)
+    links = grid.find(craft.position, air, np.zeros(slots, bool))
+    state = State(craft, air, new_tracks(2, 2), links, new_near(slots), new_tally(1))
+    used = {int(rate) for rate in rates.ravel() if rate}
+    radio = AnalyticRadio(parameters, used, Fixed((0, 0, 1)), slots, 1.0, np.random.default_rng(1))
+    radio.compute(np.arange(slots), state)
+    return radio, state
+
+
+def mean_delay_s(radio: AnalyticRadio, state: State, rates: Integers, i: int, e: int, mode: int) -> float:
+    """Mean delay that the chance of a link stands for."""
+    j = int(state.links.other[e])
+    p = -math.expm1(float(state.links.chance[e, mode]))
+    wait_s = float(radio.frames.wait_s[j]) if mode == 2 else 0.0
+    return (1.0 / p - 0.5) / int(rates[j, mode]) + float(radio.frames.offset_s[mode]) + wait_s
+
+
+@pytest.mark.parametrize("channel", ["config/channel/paper.toml", CHANNEL])
+def test_mean_delays_are_those_of_the_equations(channel: str) -> None:
+    """The paper's ten aircraft at rest, each with a set of its own."""
+    parameters = load_parameters(shipped(channel))
+    rng = np.random.default_rng(3)
+    positions = draw_positions(1, AIRCRAFT, 500.0, rng)[0]
+    rates = np.array([[10, 0, 0], [0, 5, 0], [0, 0, 10], [10, 0, 10], [3, 2, 7]] * 2, np.int64)
+    radio, state = radio_of(parameters, rates, positions)
+    links = all_links(positions, parameters.propagation)
+    found = Analytic(parameters).evaluate(links, Fleet(rates.astype(np.intp), np.full(AIRCRAFT, 1)))
+    compared = 0
+    for sender, receiver, carried, delays in zip(
+        links.transmitter.tolist(), links.receiver.tolist(), found.carried, found.delay_s, strict=True
+    ):
+        start, end = state.links.start[receiver], state.links.start[receiver + 1]
+        (e,) = [e for e in range(start, end) if state.links.other[e] == sender]
+        for mode in np.flatnonzero(carried).tolist():
+            here = mean_delay_s(radio, state, rates, receiver, e, mode)
+            # The tables are interpolated, and chances are kept in single precision.
+            assert here == pytest.approx(delays[mode], rel=0.003)
+            compared += 1
+    assert compared > 60
+
+
+def test_draws_have_the_mean_delay_of_their_chance() -> None:
+    parameters = load_parameters(shipped(CHANNEL))
+    positions = np.array([[0.0, 0.0, 50.0], [100.0, 0.0, 60.0]])
+    rates = np.array([[0, 0, 10], [0, 0, 2]], np.int64)
+    radio, state = radio_of(parameters, rates, positions)
+    rng = np.random.default_rng(4)
+    delays, open_s, latest = [], [], -1.0
+    for second in range(4000):
+        draw_arrivals(rng, float(second), 0, 0, state.air.rates, state.links, radio.frames)
+        open_s.append(float(second))
+        at = float(state.links.arrival[state.links.start[1], 0])
+        if math.isfinite(at):
+            # A message serves all those before it that did not arrive.
+            delays += [at - sample for sample in open_s]
+            open_s, latest = [], at
+    wanted = mean_delay_s(radio, state, rates, 1, int(state.links.start[1]), 2)
+    error = float(np.std(delays)) / math.sqrt(len(delays))
+    assert latest > 0.0
+    assert float(np.mean(delays)) == pytest.approx(wanted, abs=4.0 * error)
+
+
+def test_a_policy_chooses_as_aboard() -> None:
+    data = shipped(POLICY).read_bytes()
+    policy = load(data, "policy")
+    rng = np.random.default_rng(5)
+    counts = np.array([0, 1, 7, 40, 99, 100])
+    rows = rng.random((int(counts.sum()), len(NEIGHBOUR_COLUMNS))).astype(np.float32)
+    rows[:, 0] *= 0.9
+    own = rng.random((len(counts), len(OWN_COLUMNS)))
+    chooser = ByPolicy(data, "policy", Region(), 10, 200)
+    values, refused = chooser.values(Seen(own, rows, counts, np.zeros(len(counts))))
+    assert refused.tolist() == [False] * 5 + [True]
+    ends = np.cumsum(counts)
+    for one in range(5):
+        wanted = policy.values(own[one], rows[ends[one] - counts[one] : ends[one]])
+        assert values[one] == pytest.approx(wanted, rel=1e-4, abs=1e-4)
+        assert values[one].argmax() == wanted.argmax()

@@ -1,0 +1,109 @@
+"""A full table gives up what `companion.traffic.eviction` does; what cannot matter changes no decision."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from companion.avoidance import kernels as k
+from companion.avoidance.kernels.neighbours import volume_of
+from companion.avoidance.law import settings_of
+from companion.avoidance.trajectory import Trajectory
+from companion.config import AvoidanceConfig, LimitsConfig
+from companion.traffic.eviction import HOLD_S, Judgement, Motion, Ranking, Trust, margin_m
+from ground_tools.campaign.world import World
+from ground_tools.city.judging import COLUMNS, PLACES, give_up, judge_of
+from ground_tools.city.tables import NOBODY, Tracks, new_fleet, new_tracks
+from ground_tools.city.tracks import matters
+
+NOW_S = 100.0
+MOST = 12
+WORLD = World().conditions(0.2)
+
+
+def full_table(rng: np.random.Generator, spread_m: float) -> Tracks:
+    tracks = new_tracks(1, MOST)
+    tracks.used[0] = MOST
+    tracks.who[0] = rng.permutation(50)[:MOST]
+    tracks.heard[0, :, 0] = NOW_S - rng.uniform(0.0, 5.0, MOST)
+    tracks.heard[0, :, 1:4] = rng.uniform(-spread_m, spread_m, (MOST, 3)) * [1.0, 1.0, 0.2]
+    tracks.heard[0, :, 4:7] = rng.uniform(-10.0, 10.0, (MOST, 3)) * [1.0, 1.0, 0.1]
+    tracks.past[0] = np.array(k.NO_PAST)
+    tracks.messages[0] = rng.integers(1, 6, MOST)
+    tracks.together[0] = rng.random(MOST) < 0.3
+    tracks.threat_s[0] = np.where(rng.random(MOST) < 0.3, NOW_S - 2.0, -math.inf)
+    return tracks
+
+
+def given_up_aboard(tracks: Tracks, message: list[float], who: int) -> int:
+    """Row that `eviction` gives up; NOBODY: the newcomer."""
+    judgement, ranking = Judgement(AvoidanceConfig()), Ranking()
+    rows = [*tracks.heard[0].tolist(), message]
+    names = [*tracks.who[0].tolist(), who]
+    for row, (sent, name) in enumerate(zip(rows, names, strict=True)):
+        new = row == MOST
+        age = NOW_S - sent[0]
+        margin = margin_m(WORLD.declared_m, WORLD.sigma_mps, age, 0.0)
+        motion = Motion((sent[1], sent[2], sent[3]), (sent[4], sent[5], sent[6]), age, margin)
+        trust = Trust.FRESH if new or tracks.messages[0, row] < 3 else Trust.ESTABLISHED
+        held = not new and NOW_S - tracks.threat_s[0, row] <= HOLD_S
+        standing, _ = judgement.standing(motion, trust, not new and bool(tracks.together[0, row]), 0, held)
+        ranking.place(f"{name:04d}", standing)
+    first = names.index(int(ranking.first()))
+    return NOBODY if first == MOST else first
+
+
+def test_a_full_table_gives_up_what_it_gives_up_aboard() -> None:
+    rng = np.random.default_rng(1)
+    craft = new_fleet(1, WORLD)
+    found = []
+    for spread_m in (60.0, 300.0, 2000.0):
+        for _ in range(30):
+            tracks = full_table(rng, spread_m)
+            message = [NOW_S - 0.5, *rng.uniform(-spread_m, spread_m, 3), *rng.uniform(-10.0, 10.0, 3)]
+            aboard = given_up_aboard(tracks, message, 77)
+            here = give_up(
+                NOW_S, WORLD, 0, np.array(message), 77, craft, tracks, judge_of(AvoidanceConfig()),
+                np.zeros((MOST + 1, COLUMNS), np.int64), np.zeros(PLACES, np.int64),
+            )  # fmt: skip
+            assert here == aboard
+            found.append(here)
+    assert NOBODY in found
+    assert len(set(found)) > 5
+
+
+def test_a_neighbour_that_cannot_matter_changes_no_decision() -> None:
+    """Random neighbours at all distances: those that `matters` leaves out make no difference."""
+    rng = np.random.default_rng(2)
+    avoidance, limits = AvoidanceConfig(), LimitsConfig(max_speed_mps=8.0)
+    path = k.Path(np.array([0.0, 300.0]), np.array([[0.0, 0.0, -80.0], [2000.0, 0.0, -80.0]]))
+    law = settings_of(avoidance, limits, Trajectory(path.times_s.tolist(), path.points.tolist()))
+    table, some, work = np.zeros((40, k.OTHER_COLUMNS)), np.zeros((40, k.OTHER_COLUMNS)), k.workspace(0, 40)
+    left_out = conflicts = 0
+    for _ in range(60):
+        velocity = k.Vector(*rng.uniform(-6.0, 6.0, 2).tolist(), 0.3)
+        own = k.Own(k.Vector(300.0, 0.0, -80.0), velocity, 1.5, 50.0, 45.0, math.inf, -math.inf)
+        kept = 0
+        for row in range(40):
+            other = k.Other(
+                *(np.array([300.0, 0.0, -80.0]) + rng.uniform(-1500.0, 1500.0, 3) * [1, 1, 0.02]).tolist(),
+                *(rng.uniform(-8.0, 8.0, 3) * [1, 1, 0.1]).tolist(), float(rng.uniform(0.0, 6.0)), 1.5, 0.3,
+                float(rng.choice([0.0, 3.0])), float(rng.random() < 0.2), 0.5, 1.0, 0.0, 0.2,
+            )  # fmt: skip
+            k.put_other(table, row, other)
+            if matters(own, other, volume_of(other, own, law), law):
+                k.put_other(some, kept, other)
+                kept += 1
+        left_out += 40 - kept
+        decisions = []
+        for neighbours, count in ((table, 40), (some, kept)):
+            history = k.History(np.zeros(64), np.zeros((64, 3)))
+            state = k.first_state(law, 0)
+            decisions.append(k.decide(neighbours, count, own, path, k.NO_WALLS, law, state, history, work))
+        assert decisions[0].chosen == decisions[1].chosen
+        assert decisions[0].solved == decisions[1].solved
+        assert decisions[0].conflict == decisions[1].conflict
+        conflicts += decisions[0].conflict
+    assert left_out > 500
+    assert conflicts > 10
