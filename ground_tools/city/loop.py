@@ -13,6 +13,7 @@ import numpy as np
 
 from companion.arrays import Floats
 from companion.avoidance import kernels as k
+from companion.avoidance.law import OLDEST_S
 from ground_tools.campaign.vehicles import Fleet, move, send
 from ground_tools.campaign.world import Conditions
 from ground_tools.city.compiled import compiled
@@ -21,11 +22,12 @@ from ground_tools.city.judging import Judge
 from ground_tools.city.measure import Tally, measure, note_decision
 from ground_tools.city.radio.draws import Frames, draw_arrivals
 from ground_tools.city.tables import NOBODY, Air, Links, Near, Tracks
-from ground_tools.city.tracks import Desk, look, look_perfectly, receive
+from ground_tools.city.tracks import Desk, Scope, certain, everything, look, look_perfectly, receive
 
 PERFECT, GIVEN, RADIO = 0.0, 1.0, 2.0
 """How aircraft know of each other: the true state of all in reach; messages with given delays and losses; or
 messages by the channel equations."""
+_LEAST_CHANGE_MPS = 2.0
 _compiled = compiled()
 _inlined = compiled(forceinline=True)
 
@@ -95,6 +97,64 @@ def _own(rules: Rules, now: float, i: int, craft: Fleet, air: Air) -> k.Own:
     )  # fmt: skip
 
 
+@_inlined
+def _turned(i: int, own: k.Own, air: Air) -> float:
+    """The most by which the own velocity differed from the present one since the oldest message: the sum of
+    its changes in this stretch of time and the one before."""
+    last = air.samples[i] - 1
+    if last < 0:
+        air.changed[i, 0], air.changed[i, 1], air.changed[i, 2] = 0.0, 0.0, own.now_s
+        return 0.0
+    if own.now_s - air.changed[i, 2] > OLDEST_S + 1.0:
+        air.changed[i, 1], air.changed[i, 0], air.changed[i, 2] = air.changed[i, 0], 0.0, own.now_s
+    v, u = own.velocity, air.velocities[i, last]
+    air.changed[i, 0] += math.sqrt((v.n - u[0]) ** 2 + (v.e - u[1]) ** 2 + (v.d - u[2]) ** 2)
+    return float(air.changed[i, 0] + air.changed[i, 1])
+
+
+@_inlined
+def _look(
+    rules: Rules, now: float, i: int, own: k.Own, law: k.Settings, scope: Scope, desk: Desk, state: State
+) -> int:
+    """Write the neighbours that matter to the desk. Returns their number."""
+    if rules.knows != PERFECT:
+        return look(now, rules.world, i, own, law, scope, state.craft, state.tracks, desk)
+    if law.law == k.NONE:
+        return 0
+    return look_perfectly(i, own, law, scope, state.craft, state.links, desk)
+
+
+@_compiled
+def _decided(
+    rules: Rules, now: float, i: int, law: k.Settings, path: k.Path, fence: Floats, desk: Desk,
+    work: k.Workspace, state: State,
+) -> tuple[int, k.Decision]:  # fmt: skip
+    """The decision of aircraft i, and the number of neighbours that it was given.
+
+    At first only those neighbours are considered that matter if the velocity changes little. If that is not
+    certain to be the decision with all of them, all that could ever matter are considered.
+    """
+    air = state.air
+    own = _own(rules, now, i, state.craft, air)
+    turned = _turned(i, own, air)
+    command = k.Vector(air.command[i, 0], air.command[i, 1], air.command[i, 2])
+    before = k.State(command, air.decided_s[i], air.quiet[i], air.late_s[i], air.samples[i])
+    history = k.History(air.times_s[i], air.velocities[i])
+    most = everything(law)
+    change = min(air.change[i], most) if law.law == k.DMUCA else most
+    count = _look(rules, now, i, own, law, Scope(change, turned), desk, state)
+    decision = k.decide(desk.neighbours, count, own, path, fence, law, before, history, work)
+    if change < most and not certain(own, law, decision, change):
+        air.change[i] = 1.5 * air.change[i] + 1.0
+        count = _look(rules, now, i, own, law, Scope(most, turned), desk, state)
+        # The history already holds the present velocity.
+        before = k.State(command, air.decided_s[i], air.quiet[i], air.late_s[i], decision.state.samples)
+        decision = k.decide(desk.neighbours, count, own, path, fence, law, before, history, work)
+    else:
+        air.change[i] = max(0.98 * air.change[i], _LEAST_CHANGE_MPS)
+    return count, decision
+
+
 @_compiled
 def _decide(
     rules: Rules, now: float, i: int, flights: Flights, fence: Floats, desk: Desk, work: k.Workspace,
@@ -104,20 +164,11 @@ def _decide(
     craft, air = state.craft, state.air
     f = air.flight[i]
     law = k.settings_at(flights.settings, f)
-    own = _own(rules, now, i, craft, air)
-    count = 0
-    if rules.knows == PERFECT:
-        if law.law != k.NONE:
-            count = look_perfectly(i, own, law, craft, state.links, desk)
-    else:
+    if rules.knows != PERFECT:
         receive(now, rules.world, i, craft, air, state.tracks, state.links, rules.judge, desk)
-        count = look(now, rules.world, i, own, law, craft, state.tracks, desk)
     first, after = flights.first[f], flights.first[f] + flights.count[f]
     path = k.Path(flights.times[first:after], flights.points[first:after])
-    command = k.Vector(air.command[i, 0], air.command[i, 1], air.command[i, 2])
-    before = k.State(command, air.decided_s[i], air.quiet[i], air.late_s[i], air.samples[i])
-    history = k.History(air.times_s[i], air.velocities[i])
-    decision = k.decide(desk.neighbours, count, own, path, fence, law, before, history, work)
+    count, decision = _decided(rules, now, i, law, path, fence, desk, work, state)
     kept = decision.state
     for c, value in enumerate(kept.command):
         air.command[i, c] = value

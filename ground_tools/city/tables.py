@@ -56,6 +56,11 @@ class Air(NamedTuple):
     """(M,): distance from its timed point."""
     conflict: Floats
     """(M,): 1 if the last decision saw a conflict."""
+    change: Floats
+    """(M,): `tracks.Scope.change` with which the next decision is tried first, m/s."""
+    changed: Floats
+    """(M, 3): sums of the changes of the own velocity, m/s: since the time in the third column, and in the
+    stretch before."""
 
 
 class Tracks(NamedTuple):
@@ -141,6 +146,8 @@ def new_air(slots: int) -> Air:
         rates=np.zeros((slots, len(MODES)), np.int64),
         gap_m=np.zeros(slots),
         conflict=np.zeros(slots),
+        change=np.zeros(slots),
+        changed=np.zeros((slots, 3)),
     )
 
 

@@ -23,6 +23,8 @@ from ground_tools.city.tables import BURST, NOBODY, Air, Links, Tracks
 _OPENED_S = 2.0
 _FASTER = 1.1
 """An aircraft flies at most this much faster than its law's greatest speed."""
+_SLACK_M = 1e-3
+"""For rounding."""
 _NO_PAST = tuple(k.NO_PAST)
 _compiled = compiled()
 _inlined = compiled(forceinline=True)
@@ -134,31 +136,70 @@ def _open(
     return int(row)
 
 
+class Scope(NamedTuple):
+    """How far an aircraft's velocity may be from the present one, m/s."""
+
+    change: float
+    """For velocities that a decision considers."""
+    turned: float
+    """For own velocities at the times of messages."""
+
+
 @_compiled
-def matters(own: k.Own, other: k.Other, volume: Volume, settings: k.Settings) -> bool:
+def everything(law: k.Settings) -> float:
+    """`Scope.change` of all velocities that an aircraft can fly."""
+    return 2.0 * _FASTER * law.speed_mps
+
+
+@_compiled
+def certain(own: k.Own, law: k.Settings, decision: k.Decision, change: float) -> bool:
+    """Whether a decision is the same with all neighbours that do not matter for this `Scope.change`.
+
+    The program adds one plane after the other, and each one leads farther away from the wish. So whatever it
+    considers is not farther from the wish than its result is.
+    """
+    w, s, v = decision.wanted, decision.solved, own.velocity
+    aside = math.sqrt((w.n - v.n) ** 2 + (w.e - v.e) ** 2 + (w.d - v.d) ** 2)
+    aside += math.sqrt((w.n - s.n) ** 2 + (w.e - s.e) ** 2 + (w.d - s.d) ** 2)
+    if decision.conflict:  # the wish may have been turned
+        aside += 2.0 * law.right_rad * math.sqrt(w.n * w.n + w.e * w.e + w.d * w.d)
+    return decision.feasible and aside <= change
+
+
+@_compiled
+def matters(own: k.Own, other: k.Other, volume: Volume, law: k.Settings, scope: Scope) -> bool:
     """Whether a neighbour can make any difference to a decision.
 
-    If not, all velocities that we can fly satisfy its plane, and none of them enters its volume within the
-    time of the conflict test. The truncated cone of its velocity obstacle lies beyond (p - R) / tau, so that
-    u is at most our and its speed minus that.
+    If not, every velocity v within the scope satisfies its plane, and none enters its volume within the time
+    of the conflict test. The plane asks for n . (v - v_then) >= share s, where -s is the distance from the
+    relative velocity to the truncated cone of the velocity obstacle. That lies beyond (p - R) / tau, seen
+    from the origin towards p.
     """
-    n, e = other.n + other.age_s * other.vn, other.e + other.age_s * other.ve
     stretch = max(volume.scale, 1.0)
-    speed = math.sqrt(other.vn * other.vn + other.ve * other.ve + other.vd * other.vd)
-    n, e = n - own.position.n, e - own.position.e
-    gap = math.sqrt(n * n + e * e) - volume.radius
+    n = other.n + other.age_s * other.vn - own.position.n
+    e = other.e + other.age_s * other.ve - own.position.e
+    d = volume.scale * (other.d + other.age_s * other.vd - own.position.d)
+    away = math.sqrt(n * n + e * e + d * d)
+    gap = away - volume.radius
+    if gap <= 0.0:
+        return True
+    v = own.velocity
+    closing = (n * (v.n - other.vn) + e * (v.e - other.ve) + d * volume.scale * (v.d - other.vd)) / away
     if other.silent != 0.0:
-        gap -= other.age_s * speed
-    mine, theirs = _FASTER * stretch * settings.speed_mps, stretch * speed
-    plane = volume.horizon_s * (mine + theirs + 2.0 * mine / other.share)
-    look = max(settings.look_s, volume.horizon_s)
-    return gap < max(plane, look * (mine + theirs))
+        speed = math.sqrt(other.vn * other.vn + other.ve * other.ve + other.vd * other.vd)
+        ours = math.sqrt(v.n * v.n + v.e * v.e + v.d * v.d)
+        gap -= other.age_s * speed * stretch
+        closing = stretch * (speed + ours)
+    turned, change = stretch * scope.turned, stretch * scope.change
+    plane = volume.horizon_s * (closing + turned + (change + turned) / other.share)
+    look = max(law.look_s, volume.horizon_s)
+    return gap < max(plane, look * (closing + change)) + _SLACK_M
 
 
 @_inlined
 def look(
-    now: float, world: Conditions, i: int, own: k.Own, law: k.Settings, craft: Fleet, tracks: Tracks,
-    desk: Desk,
+    now: float, world: Conditions, i: int, own: k.Own, law: k.Settings, scope: Scope, craft: Fleet,
+    tracks: Tracks, desk: Desk,
 ) -> int:  # fmt: skip
     """Write the aircraft that aircraft i knows, and that matter, to the desk. Returns their number.
 
@@ -174,7 +215,7 @@ def look(
             tracks.who[i, row] = NOBODY
             continue
         known = _known(now, world, i, row, craft, tracks)
-        if not matters(own, known, volume_of(known, own, law), law):
+        if not matters(own, known, volume_of(known, own, law), law, scope):
             continue
         at = count
         while at > 0 and tracks.who[i, desk.order[at - 1]] > who:
@@ -201,7 +242,9 @@ def _known(now: float, world: Conditions, i: int, row: int, craft: Fleet, tracks
 
 
 @_inlined
-def look_perfectly(i: int, own: k.Own, law: k.Settings, craft: Fleet, links: Links, desk: Desk) -> int:
+def look_perfectly(
+    i: int, own: k.Own, law: k.Settings, scope: Scope, craft: Fleet, links: Links, desk: Desk
+) -> int:
     """Write the true state of the aircraft within reach, if they matter. Returns their number; those beyond
     the size of the table are left out."""
     count, p, v = 0, craft.position, craft.velocity
@@ -211,7 +254,7 @@ def look_perfectly(i: int, own: k.Own, law: k.Settings, craft: Fleet, links: Lin
             p[j, 0], p[j, 1], p[j, 2], v[j, 0], v[j, 1], v[j, 2],
             0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 0.0, 0.0,
         )  # fmt: skip
-        if count < len(desk.neighbours) and matters(own, known, volume_of(known, own, law), law):
+        if count < len(desk.neighbours) and matters(own, known, volume_of(known, own, law), law, scope):
             k.put_other(desk.neighbours, count, known)
             count += 1
     return count

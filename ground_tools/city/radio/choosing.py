@@ -38,7 +38,8 @@ from ground_tools.city.tables import NOBODY
 
 _SURE_AGAIN: Final = 5
 """As in `companion.atmc.chooser`: decisions in a row after a refusal before the policy is followed again."""
-_ROWS_AT_ONCE: Final = 60_000
+_ROWS_AT_ONCE: Final = 2000
+"""So that the values of a layer stay in the processor's cache."""
 _compiled = compiled()
 
 
@@ -251,7 +252,9 @@ def set_values(tensors: Tensors, own: Float32s, rows: Float32s, count: Integers)
         if len(some):
             h = rows[base : int(end[after - 1])]
             for layer in ("phi0", "phi1"):
-                h = np.maximum(h @ tensors[f"{layer}.weight"].T + tensors[f"{layer}.bias"], 0.0)
+                h = h @ tensors[f"{layer}.weight"].T
+                h += tensors[f"{layer}.bias"]
+                np.maximum(h, 0.0, out=h)
             starts = end[some] - count[some] - base
             pooled[some, :hidden] = np.log1p(np.add.reduceat(h, starts, axis=0))
             pooled[some, hidden : 2 * hidden] = np.maximum.reduceat(h, starts, axis=0)

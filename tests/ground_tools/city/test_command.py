@@ -23,7 +23,7 @@ SMALL = City(
     duration_s=30.0,
     settle_s=5.0,
 )
-ARGUMENTS = ["city", "--pattern", "inspections", "--density", "12", "--size", "1", "1", "--minutes", "0.5"]
+ARGUMENTS = ["city", "--pattern", "inspections", "--density", "12", "--size", "1", "1", "--minutes", "0.4"]
 
 
 @pytest.mark.parametrize("transports", ["rule", "policy"])
@@ -39,7 +39,9 @@ def test_two_runs_of_one_seed_agree_bit_for_bit(transports: str) -> None:
 
 
 def test_every_flight_is_accounted_for() -> None:
-    row, result = cells.fly(msgspec.structs.replace(SMALL, duration_s=120.0, knows="perfect"), 1)
+    short = msgspec.structs.replace(SMALL.demand, pattern="doorsteps")
+    city = msgspec.structs.replace(SMALL, demand=short, duration_s=90.0, knows="perfect")
+    row, result = cells.fly(city, 1)
     assert row.flights == row.arrived + row.in_the_air + row.waiting + row.not_due
     assert row.arrived > 0
     assert row.in_the_air > 0
@@ -59,7 +61,18 @@ def test_nobody_avoids_and_separation_is_lost() -> None:
 
 def test_the_command_keeps_and_continues_its_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pq = pytest.importorskip("pyarrow.parquet")
-    options = [*ARGUMENTS, "--knows", "perfect", "--out", str(tmp_path), "--jobs", "1", "--json"]
+    options = [
+        *ARGUMENTS,
+        "--settle",
+        "5",
+        "--knows",
+        "perfect",
+        "--out",
+        str(tmp_path),
+        "--jobs",
+        "1",
+        "--json",
+    ]
     assert main([*options, "--seeds", "1-1"]) == 0
     assert json.loads(capsys.readouterr().out)["flown"] == 1
     assert main([*options, "--seeds", "1-2"]) == 0
