@@ -88,9 +88,10 @@ def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float) -> No
         velocity = k.Vector(*rng.uniform(-6.0, 6.0, 2).tolist(), 0.3)
         own = k.Own(k.Vector(300.0, 0.0, -80.0), velocity, 1.5, 50.0, 45.0, math.inf, -math.inf)
         kept = 0
+        places = rng.uniform(-1.0, 1.0, (40, 3)) * rng.choice([250.0, 2500.0], (40, 1)) * [1.0, 1.0, 0.02]
         for row in range(40):
             other = k.Other(
-                *(np.array([300.0, 0.0, -80.0]) + rng.uniform(-1.0, 1.0, 3) * rng.choice([250.0, 2500.0]) * [1, 1, 0.02]).tolist(),
+                *(places[row] + [300.0, 0.0, -80.0]).tolist(),
                 *(rng.uniform(-8.0, 8.0, 3) * [1, 1, 0.1]).tolist(), float(rng.uniform(0.0, 6.0)), 1.5, 0.3,
                 float(rng.choice([0.0, 3.0])), float(rng.random() < 0.2), 0.5, 1.0, 0.0, 0.2,
             )  # fmt: skip
