@@ -219,6 +219,7 @@ class Simulation:
         air.flight[slot], air.begun_s[slot] = f, now
         air.command[slot], air.decided_s[slot] = first.command, first.time_s
         air.quiet[slot], air.late_s[slot], air.samples[slot] = first.quiet, first.delay_s, first.samples
+        air.rates[slot] = 0
         air.conflict[slot] = air.gap_m[slot] = air.change[slot] = 0.0
         if slot < len(tracks.who):
             tracks.who[slot], tracks.used[slot] = NOBODY, 0
