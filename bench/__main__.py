@@ -25,6 +25,7 @@ NAMES = (
     "atmc",
     "inspect",
     "links",
+    "city",
 )
 
 

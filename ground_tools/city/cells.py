@@ -200,8 +200,8 @@ def flights_for(city: City, avoidance: AvoidanceConfig, seed: int) -> Flights:
     return flights_of(wishes, avoidance)
 
 
-def fly(city: City, seed: int) -> tuple[Row, Result]:
-    """Fly one run. The same arguments give the same result, bit for bit.
+def simulation_of(city: City, seed: int) -> tuple[Simulation, list[AnalyticRadio]]:
+    """A run that has not begun, and its radio, if there is one.
 
     Raises:
         ConfigError: a setting or a file cannot be used.
@@ -226,11 +226,16 @@ def fly(city: City, seed: int) -> tuple[Row, Result]:
         flights, avoidance, world, knows, reach_m, rng, radio_rng,
         radio=radio if city.knows == "radio" else None,
     )  # fmt: skip
-    return _measured(city, seed, run, radios)
+    return run, radios
 
 
-def _measured(city: City, seed: int, run: Simulation, radios: list[AnalyticRadio]) -> tuple[Row, Result]:
-    """Fly, count from `settle_s` on, and sum up."""
+def fly(city: City, seed: int) -> tuple[Row, Result]:
+    """Fly one run. The same arguments give the same result, bit for bit.
+
+    Raises:
+        ConfigError: a setting or a file cannot be used.
+    """
+    run, radios = simulation_of(city, seed)
     watch = Watch(run, radios)
     settled = math.ceil(min(city.settle_s, city.duration_s) / PART_S) * PART_S
     run.fly(settled)
