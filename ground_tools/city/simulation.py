@@ -199,9 +199,9 @@ class Simulation:
         air, craft = self.state.air, self.state.craft
         free = np.flatnonzero(air.flight == NOBODY)
         at = self._flights.points[self._flights.first[f]]
-        flying = air.flight != NOBODY
-        away = np.linalg.norm(craft.position[flying] - at, axis=1)
-        if not len(free) or (len(away) and away.min() < self._clear_m):
+        near = np.flatnonzero(np.abs(craft.position[:, 0] - at[0]) < self._clear_m)
+        near = near[air.flight[near] != NOBODY]
+        if not len(free) or (np.linalg.norm(craft.position[near] - at, axis=1) < self._clear_m).any():
             return False
         self._begin(int(free[0]), f, now)
         self._waited[f] = now - self._flights.depart_s[f]

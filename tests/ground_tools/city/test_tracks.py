@@ -74,7 +74,7 @@ def test_a_full_table_gives_up_what_it_gives_up_aboard() -> None:
     assert len(set(found)) > 5
 
 
-@pytest.mark.parametrize("change", [4.0, math.inf])
+@pytest.mark.parametrize("change", [8.0, math.inf])
 def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float) -> None:
     """Random neighbours at all distances: those that `matters` leaves out make no difference."""
     rng = np.random.default_rng(2)
@@ -82,10 +82,10 @@ def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float) -> No
     path = k.Path(np.array([0.0, 300.0]), np.array([[0.0, 0.0, -80.0], [2000.0, 0.0, -80.0]]))
     law = settings_of(avoidance, limits, Trajectory(path.times_s.tolist(), path.points.tolist()))
     table, some, work = np.zeros((40, k.OTHER_COLUMNS)), np.zeros((40, k.OTHER_COLUMNS)), k.workspace(0, 40)
-    left_out = conflicts = 0
+    left_out = compared = conflicts = 0
     change = min(change, everything(law))
     for _ in range(60):
-        velocity = k.Vector(*rng.uniform(-6.0, 6.0, 2).tolist(), 0.3)
+        velocity = k.Vector(float(rng.uniform(3.0, 8.0)), float(rng.uniform(-2.0, 2.0)), 0.3)
         own = k.Own(k.Vector(300.0, 0.0, -80.0), velocity, 1.5, 50.0, 45.0, math.inf, -math.inf)
         kept = 0
         places = rng.uniform(-1.0, 1.0, (40, 3)) * rng.choice([250.0, 2500.0], (40, 1)) * [1.0, 1.0, 0.02]
@@ -104,13 +104,14 @@ def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float) -> No
             history = k.History(np.zeros(64), np.zeros((64, 3)))
             state = k.first_state(law, 0)
             decisions.append(k.decide(neighbours, count, own, path, k.NO_WALLS, law, state, history, work))
-        if not certain(own, law, decisions[1], change):
-            assert change < everything(law) or not decisions[0].feasible
+        if change < everything(law) and not certain(own, law, decisions[1], change):
             continue
+        compared += 1
         left_out += 40 - kept
         assert decisions[0].chosen == decisions[1].chosen
         assert decisions[0].solved == decisions[1].solved
         assert decisions[0].conflict == decisions[1].conflict
         conflicts += decisions[0].conflict
-    assert left_out > 200
-    assert conflicts > 5
+    assert compared > 15
+    assert left_out > 10 * compared
+    assert conflicts > 3
