@@ -22,7 +22,9 @@ from ground_tools.city.radio.draws import draw_arrivals
 from ground_tools.city.radio.reception import AnalyticRadio
 from ground_tools.city.tables import new_air, new_fleet, new_near, new_tracks
 from sitl_mocks.channel import Analytic, ChannelParameters, Fleet, all_links, draw_positions, load_parameters
-from sitl_mocks.channel.link_budget import ranges_m
+from sitl_mocks.channel.link_budget import path_loss_db, ranges_m
+from sitl_mocks.channel.packets.simulation import simulate
+from sitl_mocks.channel.packets.timing import REAL
 
 AIRCRAFT = 10
 
@@ -95,6 +97,54 @@ def test_draws_have_the_mean_delay_of_their_chance() -> None:
     error = float(np.std(delays)) / math.sqrt(len(delays))
     assert latest > 0.0
     assert float(np.mean(delays)) == pytest.approx(wanted, abs=4.0 * error)
+
+
+def mean_age_s(arrivals: list[tuple[float, float]], from_s: float, to_s: float) -> float:
+    """Mean age over a time, of messages that arrive and were sent at these times; NaN before the first."""
+    grid = np.arange(from_s, to_s, 0.02)
+    newest = np.full(len(grid), np.nan)
+    for at, sent in sorted(arrivals):
+        later = grid >= at
+        newest[later] = np.fmax(newest[later], sent)
+    known = np.isfinite(newest)
+    return float((grid - newest)[known].mean()) if known.any() else math.nan
+
+
+@pytest.mark.parametrize(
+    ("row", "side_m"), [((10, 0, 0), 700.0), ((0, 10, 0), 700.0), ((0, 0, 10), 2200.0), ((10, 0, 10), 700.0)]
+)
+def test_mean_ages_are_those_of_the_packets(row: tuple[int, int, int], side_m: float) -> None:
+    """Fifty aircraft at rest, against the simulation packet by packet: within 15 %."""
+    parameters, number, length_s = load_parameters(shipped(CHANNEL)), 50, 25.0
+    rng = np.random.default_rng(7)
+    positions = draw_positions(1, number, side_m, rng)[0]
+    rates = np.tile(np.array(row, np.int64), (number, 1))
+    apart = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+    loss_db = path_loss_db(apart, parameters.propagation)
+    np.fill_diagonal(loss_db, np.nan)
+    found = simulate(parameters, REAL, loss_db, rates, np.full(number, 1), length_s, rng)
+    pairs = np.argwhere(found.carried.any(axis=2))
+    some = {tuple(pair) for pair in pairs[rng.permutation(len(pairs))[:150]].tolist()}
+    there: dict[tuple[int, ...], list[tuple[float, float]]] = {pair: [] for pair in some}
+    here: dict[tuple[int, ...], list[tuple[float, float]]] = {pair: [] for pair in some}
+    for event, by, at in zip(found.heard_event, found.heard_by, found.heard_s, strict=True):
+        pair = int(found.transmitter[event]), int(by)
+        if pair in some:
+            there[pair].append((float(at), float(found.sample_s[event])))
+    radio, state = radio_of(parameters, rates, positions)
+    links, first_s = state.links, rng.random(number).tolist()
+    for second, sender in np.ndindex(int(length_s), number):
+        sent_s = second + first_s[sender]
+        draw_arrivals(rng, sent_s, sender, 0, state.air.rates, links, radio.frames)
+        for e in range(links.start[sender], links.start[sender + 1]):
+            pair = sender, int(links.other[e])
+            if pair in some and math.isfinite(links.arrival[links.back[e], 0]):
+                here[pair].append((float(links.arrival[links.back[e], 0]), sent_s))
+    packets, city = (
+        float(np.nanmean([mean_age_s(heard[pair], 8.0, length_s) for pair in sorted(some)]))
+        for heard in (there, here)
+    )
+    assert city == pytest.approx(packets, rel=0.15)
 
 
 def test_a_policy_chooses_as_aboard() -> None:
