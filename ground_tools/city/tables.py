@@ -22,8 +22,8 @@ Numbers = NDArray[np.int32]
 NOBODY = -1
 NEAR_MOST = 32
 """Most aircraft so near to one that the distance to them is measured at every step."""
-HISTORY = 256
-"""Length of the history of own velocities: at five decisions a second half of it is 25 s, more than the age
+HISTORY = 512
+"""Length of the history of own velocities: at five decisions a second half of it is 51 s, more than the age
 of the oldest message."""
 BURST = 10
 """Number of new tracks that are remembered to recognise those that appear together (`eviction.OPENED`)."""

@@ -13,7 +13,6 @@ from typing import NamedTuple
 from companion.arrays import Floats, Integers
 from companion.avoidance import kernels as k
 from companion.avoidance.kernels.neighbours import Volume, volume_of
-from companion.avoidance.law import OLDEST_S
 from ground_tools.campaign.vehicles import M_POSITION, M_TIME, M_VELOCITY, MESSAGE_COLUMNS, Fleet
 from ground_tools.campaign.world import Conditions
 from ground_tools.city.compiled import compiled
@@ -211,7 +210,8 @@ def look(
         who = tracks.who[i, row]
         if who == NOBODY:
             continue
-        if now + craft.clock[i] - tracks.heard[i, row, M_TIME] > OLDEST_S:
+        age = now + craft.clock[i] - tracks.heard[i, row, M_TIME]
+        if age > k.KEPT_S and age > k.kept_for(k.past_at(tracks.past[i], row).gap_s, k.KEPT_S):
             tracks.who[i, row] = NOBODY
             continue
         known = _known(now, world, i, row, craft, tracks)
