@@ -46,6 +46,7 @@ SMALLER: Final = (
     (r"paper closed-loop(?!.*--out|.*--encounters)", "paper closed-loop --encounters 1"),
     (r"paper closed-loop --encounters", "paper closed-loop --crowd 2 --out runs/loop --encounters"),
     (r"^(ground-tools channel (table|plot))(?!.*--samples)", r"\1 --samples 4"),
+    (r"^(ground-tools city .*)--size \d+ \d+", r"\1--size 1 1 --minutes 0.2 --settle 2"),
     (r"runs/(NAME|A)", "RUN_FOLDER"),
     (r"runs/(OTHER|B)", "OTHER_FOLDER"),
     (r"(FLIGHT|flight)\.tlog", "RUN_FOLDER/DMUCA001.tlog"),
