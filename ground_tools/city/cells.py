@@ -269,7 +269,7 @@ class Watch:
 def _row(seed: int, settled: float, result: Result, slots: int, watch: Watch, refused: float) -> Row:
     tally, state = result.state.tally, result.state
     rows = tally.flights[tally.flights[:, measure.T_STEPS] > 0.0]
-    losses = tally.losses[: min(int(tally.count[0]), len(tally.losses))]
+    losses = tally.losses[: min(int(tally.number[0]), len(tally.losses))]
     losses = losses[losses[:, measure.L_TIME] >= settled]
     decisions, steps = max(rows[:, measure.T_DECISIONS].sum(), 1.0), max(rows[:, measure.T_STEPS].sum(), 1.0)
     heard, age, old, unheard = watch.ages.tolist()

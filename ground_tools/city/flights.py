@@ -24,7 +24,7 @@ class Flights(NamedTuple):
     """(F,): when the flight is due."""
     first: Integers
     """(F,): row of its first point."""
-    count: Integers
+    corners: Integers
     """(F,): number of its points, at least 2."""
     times: Floats
     """(P,): times of the points, rising within a flight from 0 at its departure."""
@@ -38,7 +38,7 @@ class Flights(NamedTuple):
     @property
     def end_s(self) -> Floats:
         """(F,): when each flight ends as planned."""
-        return np.asarray(self.depart_s + self.times[self.first + self.count - 1], float)
+        return np.asarray(self.depart_s + self.times[self.first + self.corners - 1], float)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ def flights_of(wishes: Sequence[Wish], avoidance: AvoidanceConfig) -> Flights:
     return Flights(
         depart_s=np.array([wishes[i].depart_s for i in order], float),
         first=np.cumsum(counts) - counts,
-        count=counts,
+        corners=counts,
         times=np.concatenate([np.zeros(0), *(wishes[i].times for i in order)]),
         points=np.concatenate([np.zeros((0, 3)), *(wishes[i].points for i in order)]),
         settings=settings,

@@ -200,9 +200,9 @@ def _pair(position: Floats, links: Links, near2: float, fresh: Bools, near: Near
     """Write the near pairs. Losses of separation that go on keep their numbers."""
     overflow = 0
     others, events = kept_pairs[0], kept_pairs[1]
-    for i in range(len(near.count)):
+    for i in range(len(near.number)):
         kept = 0
-        for n in range(near.count[i]):
+        for n in range(near.number[i]):
             j = near.other[i, n]
             if near.event[i, n] != NOBODY and not fresh[i] and not fresh[j]:
                 others[kept], events[kept] = j, near.event[i, n]
@@ -220,5 +220,5 @@ def _pair(position: Floats, links: Links, near2: float, fresh: Bools, near: Near
                 if others[n] == j:
                     near.event[i, count] = events[n]
             count += 1
-        near.count[i] = count
+        near.number[i] = count
     return overflow

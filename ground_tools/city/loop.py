@@ -166,7 +166,7 @@ def _decide(
     law = k.settings_at(flights.settings, f)
     if rules.knows != PERFECT:
         receive(now, rules.world, i, craft, air, state.tracks, state.links, rules.judge, desk)
-    first, after = flights.first[f], flights.first[f] + flights.count[f]
+    first, after = flights.first[f], flights.first[f] + flights.corners[f]
     path = k.Path(flights.times[first:after], flights.points[first:after])
     count, decision = _decided(rules, now, i, law, path, fence, desk, work, state)
     kept = decision.state

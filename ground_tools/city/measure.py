@@ -64,7 +64,7 @@ class Tally(NamedTuple):
     """(F, TALLY)."""
     losses: Floats
     """(MOST_LOSSES, LOSS)."""
-    count: Integers
+    number: Integers
     """(1,): number of losses of separation; those beyond the table are counted too."""
 
 
@@ -108,7 +108,7 @@ def measure(
         f = air.flight[i]
         if f == NOBODY:
             continue
-        first, after = flights.first[f], flights.first[f] + flights.count[f]
+        first, after = flights.first[f], flights.first[f] + flights.corners[f]
         at = now + world.step_s - air.begun_s[i] - air.late_s[i]
         n, e, d = k.path_position(flights.times[first:after], flights.points[first:after], at)
         gap = math.sqrt((n - position[i, 0]) ** 2 + (e - position[i, 1]) ** 2 + (d - position[i, 2]) ** 2)
@@ -123,7 +123,7 @@ def measure(
             + (position[i, 1] - before[i, 1]) ** 2
             + (position[i, 2] - before[i, 2]) ** 2
         )
-        for at_pair in range(near.count[i]):
+        for at_pair in range(near.number[i]):
             j = near.other[i, at_pair]
             if air.flight[j] != NOBODY:
                 least2 = _least_distance2(position, before, i, j)
@@ -142,8 +142,8 @@ def _note_pair(
     tally.flights[g, T_LEAST] = min(tally.flights[g, T_LEAST], least)
     event = near.event[i, at]
     if event == NOBODY and least < SEPARATION_M:
-        event = tally.count[0]
-        tally.count[0] += 1
+        event = tally.number[0]
+        tally.number[0] += 1
         near.event[i, at] = event
         if event < len(tally.losses):
             loss = tally.losses[event]
@@ -164,7 +164,7 @@ def _note_pair(
 def _terminal(flights: Flights, craft: Fleet, air: Air, i: int) -> bool:
     """Whether aircraft i departs or arrives."""
     f = air.flight[i]
-    first, last = flights.first[f], flights.first[f] + flights.count[f] - 1
+    first, last = flights.first[f], flights.first[f] + flights.corners[f] - 1
     p = craft.position[i]
     for row in (first, last):
         n, e = flights.points[row, 0] - p[0], flights.points[row, 1] - p[1]

@@ -86,7 +86,7 @@ def write_losses(path: Path, result: Result) -> None:
     Raises:
         ConfigError: the file cannot be written.
     """
-    losses = result.state.tally.losses[: int(result.state.tally.count[0])]
+    losses = result.state.tally.losses[: int(result.state.tally.number[0])]
     columns: dict[str, Any] = {name: losses[:, column] for name, column in _LOSSES.items()}
     columns |= {name: columns[name].astype(int) for name in ("first", "second")}
     columns["terminal"] = columns["terminal"] != 0.0

@@ -94,7 +94,7 @@ class Simulation:
         rng: np.random.Generator,
         radio_rng: np.random.Generator,
         *,
-        radio: Callable[[int, Floats], Radio] | None = None,
+        radio: Callable[[int, float], Radio] | None = None,
         most_tracks: int = TrafficConfig().max_tracks,
         slots: int | None = None,
         clear_m: float = CLEAR_M,
@@ -183,7 +183,7 @@ class Simulation:
         flights, air = self._flights, self.state.air
         for slot in np.flatnonzero(air.flight != NOBODY).tolist():
             f = int(air.flight[slot])
-            length_s = flights.times[flights.first[f] + flights.count[f] - 1]
+            length_s = flights.times[flights.first[f] + flights.corners[f] - 1]
             over = now - air.begun_s[slot] - air.late_s[slot] >= length_s
             if over and air.gap_m[slot] <= ARRIVED_M:
                 self.state.tally.flights[f, T_ENDED] = now
@@ -210,8 +210,8 @@ class Simulation:
 
     def _begin(self, slot: int, f: int, now: float) -> None:
         flights, air, tracks = self._flights, self.state.air, self.state.tracks
-        rows = slice(flights.first[f], flights.first[f] + flights.count[f])
-        one = Fleet(*(array[slot : slot + 1] for array in self.state.craft))
+        rows = slice(flights.first[f], flights.first[f] + flights.corners[f])
+        one = Fleet._make(array[slot : slot + 1] for array in self.state.craft)
         begin(self._rng, self._world, flights.times[None, rows], flights.points[None, rows], self._kinds, one)
         one.before[:] = one.position
         one.gust[:] = 0.0

@@ -7,7 +7,7 @@ another aircraft a *track*. All of them are bounded and allocated before the fli
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +116,7 @@ class Links(NamedTuple):
 class Near(NamedTuple):
     """Pairs whose distance is measured at every step; each under the slot with the higher number."""
 
-    count: Integers
+    number: Integers
     """(M,)."""
     other: Numbers
     """(M, NEAR_MOST)."""
@@ -127,8 +127,9 @@ class Near(NamedTuple):
 def new_fleet(slots: int, world: Conditions) -> Fleet:
     """The campaign's fleet without its matrix of arrivals, for which `Links` stand here."""
     few = on_the_ground(1, world)
-    made = [np.zeros((slots, *array.shape[1:]), array.dtype) for array in few[:-1]]
-    return Fleet(*made, np.full((slots, 1, few.sent.shape[1]), math.inf))
+    made: list[Any] = [np.zeros((slots, *array.shape[1:]), array.dtype) for array in few[:-1]]
+    made.append(np.full((slots, 1, few.sent.shape[1]), math.inf))
+    return Fleet._make(made)
 
 
 def new_air(slots: int) -> Air:

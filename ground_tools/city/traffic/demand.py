@@ -108,7 +108,7 @@ class _Draw:
         """A doorstep within a trip of a place."""
         longest = min(_TRIP_M[1], 0.9 * float(self.size.max()))
         while True:
-            goal = self.rng.uniform(0.0, 1.0, 2) * self.size
+            goal: AnyFloats = self.rng.uniform(0.0, 1.0, 2) * self.size
             if _TRIP_M[0] <= math.dist(start, goal) <= longest:
                 return goal
 

@@ -90,11 +90,14 @@ def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float) -> No
         kept = 0
         places = rng.uniform(-1.0, 1.0, (40, 3)) * rng.choice([250.0, 2500.0], (40, 1)) * [1.0, 1.0, 0.02]
         for row in range(40):
-            other = k.Other(
-                *(places[row] + [300.0, 0.0, -80.0]).tolist(),
-                *(rng.uniform(-8.0, 8.0, 3) * [1, 1, 0.1]).tolist(), float(rng.uniform(0.0, 6.0)), 1.5, 0.3,
-                float(rng.choice([0.0, 3.0])), float(rng.random() < 0.2), 0.5, 1.0, 0.0, 0.2,
-            )  # fmt: skip
+            other = k.Other._make(
+                [
+                    *(places[row] + [300.0, 0.0, -80.0]).tolist(),
+                    *(rng.uniform(-8.0, 8.0, 3) * [1, 1, 0.1]).tolist(),
+                    *(float(rng.uniform(0.0, 6.0)), 1.5, 0.3, float(rng.choice([0.0, 3.0]))),
+                    *(float(rng.random() < 0.2), 0.5, 1.0, 0.0, 0.2),
+                ]
+            )
             k.put_other(table, row, other)
             if matters(own, other, volume_of(other, own, law), law, Scope(change, 0.0)):
                 k.put_other(some, kept, other)
