@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from companion.adjustable_parameters import applied, differences
 from companion.atmc.chooser import chooser_of
 from companion.authority.control import Control
+from companion.authority.late_input import LateInput
 from companion.authority.plan import Plan, plan_of
 from companion.authority.readiness import Readiness
 from companion.authority.table import HOLDING, State
@@ -21,6 +22,7 @@ from companion.config import Config
 from companion.decider import Decider
 from companion.events import (
     AdsbVehicle,
+    ClockRead,
     Command,
     CurrentMode,
     Event,
@@ -79,7 +81,8 @@ class Companion:
         self.alerts = self._decider.alerts
         self.broadcaster = Broadcaster(config)
         self._readiness = Readiness(config, self.own, self.broadcaster)
-        self._control = Control(config, self.own, self.plan, self._readiness)
+        self._late_input = LateInput()
+        self._control = Control(config, self.own, self.plan, self._readiness, self._late_input)
         self.chooser = chooser_of(config, policy)
         self._last_step_s: float | None = None
         self._frame: LocalFrame | None = None
@@ -103,6 +106,14 @@ class Companion:
 
     def waits_for(self, now_s: float) -> str | None:
         """Why the vehicle cannot be taken now, in words; None if it can."""
+        return self._not_ready(now_s) or self._late_input.text
+
+    def idle_because(self, now_s: float) -> str | None:
+        """Why nothing is commanded now, in words; None if it could be, or if the state itself says it."""
+        return self.waits_for(now_s) if self.state is State.STANDBY else self._late_input.text
+
+    def _not_ready(self, now_s: float) -> str | None:
+        """As `waits_for`, but without the delay of messages, which only postpones the taking."""
         return self.law_fault or self._readiness.waits_for(now_s, self._control.left_in)
 
     def step(self, now_s: float, events: Sequence[Event]) -> list[Command]:
@@ -133,8 +144,8 @@ class Companion:
         Returns the modes that the vehicle reported, in the form that `Control.step` takes.
         """
         own = self.own
-        behind_s = next((e.since_s for e in events if isinstance(e, InputBehind)), None)
-        sent_s = now_s if behind_s is None else min(behind_s, now_s)
+        behind = next((e for e in events if isinstance(e, InputBehind)), None)
+        sent_s = now_s if behind is None else min(behind.since_s, now_s)
         shown: list[Heartbeat] = []
         heard: list[RemoteIdHeard] = []
         seen: list[AdsbVehicle] = []
@@ -178,9 +189,15 @@ class Companion:
                     own.observe(event, now_s, sent_s)
                     if own.heartbeat is not None:
                         shown.append(own.heartbeat)
+                case ClockRead():
+                    own.observe(event, now_s, sent_s)
+                    self._late_input.read(event)
                 case _:
                     own.observe(event, now_s, sent_s)
-        self._mode_known = behind_s is None
+        self._mode_known = behind is None
+        told = self._late_input.step(now_s, behind)
+        if own.heartbeat is not None and self.config.flight.use != "watch":
+            commands += told
         if own.frame is not self._frame:
             self._frame = own.frame
             self.traffic.clear()
@@ -252,7 +269,7 @@ class Companion:
             self._decider.configure(self.config)
             for table in (self.traffic, self.adsb):
                 table.judgement.configure(self.config.avoidance)
-        if standby and self.waits_for(now_s) is None:
+        if standby and self._not_ready(now_s) is None:
             commands += self.plan.prepare(own, now_s)
             if self.plan.ready and not self.plan.near(own, now_s) and not self.plan.remake(own):
                 limit = self.config.flight.start_within_m

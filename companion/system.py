@@ -208,7 +208,10 @@ class CompanionSystem:
         self.link.begin_step(now_s, behind=since_s is not None)
         advanced = self.link.advance(now_s)
         self._told_gate(advanced, now_s)
-        told: list[Event] = [] if since_s is None else [InputBehind(since_s=since_s)]
+        told: list[Event] = []
+        if since_s is not None:
+            why, by_clock = self.gate.behind_because(now_s)
+            told.append(InputBehind(since_s=since_s, why=why, by_clock=by_clock))
         if self.gate.lost != self._lost:
             self._lost = self.gate.lost
             told.append(GateAuthority(lost=self._lost))

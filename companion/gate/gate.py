@@ -140,6 +140,20 @@ class Gate:
         """Whether the known mode is current: read without a backlog, and the vehicle not silent since."""
         return self._fresh and now_s - self._emptied_s <= STALL_S and now_s - self._heard_s <= _SILENCE_S
 
+    def behind_because(self, now_s: float) -> tuple[str, bool]:
+        """Why messages of the vehicle may be old, in words, and whether its own clock says so."""
+        if now_s - self._emptied_s > STALL_S or self.current(now_s):
+            return "the vehicle's messages were not read in time here", False
+        if self._heard_s == -math.inf:
+            return "no message of the vehicle has arrived", False
+        if self._bounds.mixed(now_s):
+            return "old messages of the vehicle arrive after newer ones", False
+        if self._bounds.late(now_s):
+            return f"by its own clock, the vehicle's messages arrive {self._bounds.delay(now_s)}", True
+        if now_s - self._heard_s > _SILENCE_S:
+            return f"the vehicle has sent nothing for {now_s - self._heard_s:.1f} s", False
+        return "no message has shown the vehicle's mode since its messages were last late or missing", False
+
     # ------------------------------------------------------------ in
 
     def hear(self, event: Event, now_s: float) -> None:
