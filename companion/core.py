@@ -16,6 +16,7 @@ from companion.authority.late_input import LateInput
 from companion.authority.plan import Plan, plan_of
 from companion.authority.readiness import Readiness
 from companion.authority.table import HOLDING, State
+from companion.autopilot.advice import acts_on_traffic
 from companion.autopilot.dialect import use
 from companion.broadcast.broadcaster import Broadcaster
 from companion.config import Config
@@ -52,6 +53,7 @@ from companion.geometry import LocalFrame
 from companion.laws import plugin_of
 from companion.ownship import Ownship
 from companion.traffic.adsb import AdsbTraffic
+from companion.traffic.published import Publication, is_published
 from companion.traffic.tracks import Traffic
 
 
@@ -76,6 +78,7 @@ class Companion:
         identity = config.identity
         self.traffic = Traffic(config.traffic, identity.uas_id, identity.ua_type, config.avoidance)
         self.adsb = AdsbTraffic(None if identity.icao is None else int(identity.icao, 16), config.avoidance)
+        self._publication = Publication()
         self.plan: Plan = plan_of(config)
         self._decider = Decider(config, self.own, self.plan.course, self.traffic, self.adsb)
         self.alerts = self._decider.alerts
@@ -155,7 +158,8 @@ class Companion:
                     heard.append(event)
                     self.broadcaster.observe(event, now_s)
                 case AdsbVehicle():
-                    seen.append(event)
+                    if not is_published(event):
+                        seen.append(event)
                 case RadioState() | OperatorData() | RemoteIdModule():
                     self.broadcaster.observe(event, now_s)
                     if isinstance(event, RadioState):
@@ -252,6 +256,7 @@ class Companion:
         self.traffic.expire(now_s)
         commands += self.traffic.flagged(now_s)
         commands += self.adsb.full.due(now_s)
+        commands += self._publish(now_s)
         own, readiness = self.own, self._readiness
         readiness.look(now_s, shown)
         if readiness.down(now_s, shown):
@@ -278,6 +283,16 @@ class Companion:
                 )
         if self.plan.course.law is not None:
             self.plan.course.law.note_velocity(now_s, own.velocity_ned_mps)
+
+    def _publish(self, now_s: float) -> Sequence[Command]:
+        """Reports of heard traffic for ground stations, if the configuration wants them."""
+        own, vehicle, wanted = self.own, self.plan.terms.vehicle, self.config.traffic.publish
+        if wanted == "off" or own.frame is None or own.position is None or not self._publication.ready(now_s):
+            return []
+        if wanted == "if-ignored" and (vehicle is None or acts_on_traffic(vehicle) is not None):
+            return []
+        heard = self.traffic.neighbours(now_s)
+        return self._publication.due(now_s, own.position_ned_m(now_s), own.frame, heard)
 
     # ------------------------------------------------------------ decide
 

@@ -41,6 +41,7 @@ from companion.events import (
     Settings,
     Severity,
     Threat,
+    TrafficReport,
     VelocitySetpoint,
 )
 from companion.gate.gate import STALL_S, Gate
@@ -50,7 +51,7 @@ _SAY_AGAIN_S = 5.0
 _HOLDING = frozenset(state.value for state in HOLDING)
 _REQUESTS = (DownloadMission, DownloadFence)
 """Commands for the link that command nothing."""
-_COMMANDS = (VelocitySetpoint, SetMode, SetSpeed, Say, ArmStatus, Threat)
+_COMMANDS = (VelocitySetpoint, SetMode, SetSpeed, Say, ArmStatus, Threat, TrafficReport)
 """Commands for the link that a companion which commands nothing does not send."""
 
 

@@ -102,9 +102,8 @@ class LateInput:
                 return []
             return [Say(severity=Severity.NOTICE, text="DMUCA: the vehicle's messages are recent again")]
         slow = self._rate.slow() if behind.by_clock else None
-        self.why = (
-            behind.why if slow is None else f"the vehicle's clock runs at {slow:.3f} of ours: {behind.why}"
-        )
+        clock = "" if slow is None else f"the vehicle's clock runs at {slow:.3f} of ours: "
+        self.why = clock + behind.why
         self.text = f"{self.why}; nothing is commanded until {_RECENT if slow is None else _KEPT}"
         self._since_s = now_s if self._since_s is None else self._since_s
         lasted = now_s - self._since_s >= _TOLD_AFTER_S

@@ -381,7 +381,7 @@ def _judge_parameters(config: Config, told: VehicleParameters | None, found: Pre
     deaf = no_receiver(told)
     if deaf is not None:
         found.green("vehicle", deaf)
-    for text in remarks(config, told):
+    for text in remarks(config, told, final=True):
         found.yellow("vehicle", text, "change the parameter or the configuration")
     if watching:
         return

@@ -93,6 +93,8 @@ _FREE = frozenset(
     }
 )
 """Messages that command nothing and may always be sent."""
+_PUBLISHED = frozenset({mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE})
+"""Sent only with traffic.publish: an autopilot may act on them by itself."""
 _OF_THE_VEHICLE = (GlobalPosition, LocalPosition, VehicleTime, Heartbeat, CurrentMode, LandedState)
 _FILES = mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
 _FILES_OPCODE_AT = 6
@@ -113,6 +115,7 @@ class Gate:
         """Create a gate that is closed until the input has been read and the vehicle has been heard."""
         self.counts: Counter[str] = Counter()
         """Number of refused frames by the name of the rule."""
+        self._free = _FREE if config.traffic.publish == "off" else _FREE | _PUBLISHED
         self._mandate = Mandate(config)
         self._bounds = Bounds(config)
         self._emptied_s = self._decided_s = -math.inf
@@ -282,7 +285,7 @@ class Gate:
             return self._command(payload, now_s)
         if message_id == _FILES:
             _check_files(payload)
-        elif message_id not in _FREE:
+        elif message_id not in self._free:
             raise Broken(Rule.KIND, f"message {message_id} is not allowed")
         return False
 
