@@ -123,7 +123,7 @@ class MockVehicle:
             "PARAM_SET": self._answer_param,
             "REQUEST_DATA_STREAM": self._take_data_stream,
             "COLLISION": self._note_collision,
-            "ADSB_VEHICLE": lambda message, *_: self._uses_traffic and self.traffic.take(message),
+            "ADSB_VEHICLE": lambda message, *_: self.traffic.take(message, used=self._uses_traffic),
             "HEARTBEAT": self._note_heartbeat,
         }
 

@@ -322,7 +322,7 @@ def test_the_containment_is_told(make_config: Callable[..., Config]) -> None:
         (
             Firmware.ARDUPILOT,
             {"adsb_type": ("ADSB_TYPE", 1.0)},
-            "ADSB_TYPE 1: the autopilot takes it (AVD_*)",
+            "ADSB_TYPE 1: the autopilot uses it",
         ),
         (Firmware.PX4, {"traffic_action": ("NAV_TRAFF_AVOID", 1.0)}, None),
     ],
