@@ -105,8 +105,9 @@ def findings(config: Config, say: Callable[[str], None] | None = None) -> Prefli
     ):  # fmt: skip
         before = len(found.findings)
         probe(config, found)
-        for finding in found.findings[before:] if say is not None else ():
-            say(finding.line())
+        if say is not None:
+            for finding in found.findings[before:]:
+                say(finding.line())
     return found
 
 
