@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ground_tools.atmc.commands.evaluate import Question
 
 _MAX_UAVS = 1000
-_WORSE = "worse_side_"
+_WORSE, _IN_SQUARE = "worse_side_", "vs_side_"
 _SHOWN = (
     ("policy", "high_ms", "low_ms", "dynamic_ms"),
     ("best fixed mode", None, None, "best_fixed_dynamic_ms"),
@@ -191,6 +191,8 @@ def _tail(found: dict[str, Any]) -> str:
     low, high = found["vs_best_fixed_low_pct"], found["vs_best_fixed_high_pct"]
     text = f"Against the best fixed mode: {found['vs_best_fixed_pct']:+.1f} % "
     text += f"({low:+.1f} to {high:+.1f} %, 95 %). "
+    worst, side = max((pct, key.split("_")[2]) for key, pct in found.items() if key.startswith(_IN_SQUARE))
+    text += f"In the square where it does worst ({int(side):,} m): {worst:+.1f} %. "
     if not found["places"]:
         return text + "In no place could anybody soon be in conflict, so none is compared by itself."
     text += (

@@ -75,18 +75,23 @@ class Places:
         }
 
     def _against_fixed(self, best: int) -> dict[str, float]:
-        """Policy against the best fixed mode (%), with the 95 % interval."""
+        """Policy against the best fixed mode (%), with the 95 % interval, and in each square."""
         rng = np.random.default_rng(_SEED)
         drawn = np.zeros((2, DRAWS))
-        found = np.zeros(2)
+        each = []
         for square in self.squares:
             parts = np.stack([square.cost["policy"], square.fixed[best]])
-            found += square.ms(parts)
+            each.append(square.ms(parts))
             places = square.weight.size
             counts = rng.multinomial(places, np.full(places, 1.0 / places), DRAWS).astype(float)
             drawn += 1e3 * (parts @ counts.T) / np.maximum(counts @ square.weight, 1e-9)
+        found = np.sum(each, axis=0)
         low, high = np.percentile(100.0 * (drawn[0] / drawn[1] - 1.0), (2.5, 97.5))
         return {
+            **{
+                f"vs_side_{side:.0f}_pct": _rounded(100.0 * (policy / fixed - 1.0))
+                for side, (policy, fixed) in zip(SIDES_M, each, strict=True)
+            },
             "vs_best_fixed_pct": _rounded(100.0 * (found[0] / found[1] - 1.0)),
             "vs_best_fixed_low_pct": _rounded(low),
             "vs_best_fixed_high_pct": _rounded(high),

@@ -44,6 +44,7 @@ def test_a_policy_that_is_better_everywhere_has_no_tail():
 def test_deaf_places_are_counted_where_they_are_and_cannot_hide_in_the_mean():
     made = places(0.97)
     made.squares[5].cost["policy"][:3] = 0.8
+    made.squares[1].cost["policy"] *= 1.04
     found = report(made)
     assert found["vs_best_fixed_pct"] < 0.0  # on average it is still better
     assert (found["places_worse"], found["worse_side_10000"], found["worse_side_5000"]) == (3, 3, 0)
@@ -54,6 +55,8 @@ def test_deaf_places_are_counted_where_they_are_and_cannot_hide_in_the_mean():
     assert "In 3 of 600 places the policy is more than 5 % worse" in words
     assert ": 3 of 100 at 10,000 m." in words
     assert "4.00 at most" in words
+    assert "In the square where it does worst (10,000 m): +6.1 %" in words
+    assert found["vs_side_500_pct"] == pytest.approx(0.88)
 
 
 def test_the_interval_is_wide_where_few_places_decide():
