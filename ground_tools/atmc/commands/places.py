@@ -89,10 +89,10 @@ class Places:
         low, high = np.percentile(100.0 * (drawn[0] / drawn[1] - 1.0), (2.5, 97.5))
         return {
             **{
-                f"vs_side_{side:.0f}_pct": _rounded(100.0 * (policy / fixed - 1.0))
+                f"vs_side_{side:.0f}_pct": _rounded(_worse_pct(policy, fixed))
                 for side, (policy, fixed) in zip(SIDES_M, each, strict=True)
             },
-            "vs_best_fixed_pct": _rounded(100.0 * (found[0] / found[1] - 1.0)),
+            "vs_best_fixed_pct": _rounded(_worse_pct(*found)),
             "vs_best_fixed_low_pct": _rounded(low),
             "vs_best_fixed_high_pct": _rounded(high),
         }
@@ -127,6 +127,11 @@ def _ratios(square: Square, best: int) -> Floats:
     counts = (square.weight >= LEAST_WEIGHT) & (fixed > 0.0)
     ratios: Floats = policy[counts] / fixed[counts]
     return ratios
+
+
+def _worse_pct(policy: float, fixed: float) -> float:
+    """By how much (%) a cost exceeds another one; 0 where nobody reaches anybody, so that both are 0."""
+    return 100.0 * (policy / fixed - 1.0) if fixed > 0.0 else 0.0
 
 
 def _rounded(value: float) -> float:
