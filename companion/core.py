@@ -12,15 +12,18 @@ from collections.abc import Sequence
 from companion.adjustable_parameters import applied, differences
 from companion.atmc.chooser import chooser_of
 from companion.authority.control import Control
+from companion.authority.late_input import LateInput
 from companion.authority.plan import Plan, plan_of
 from companion.authority.readiness import Readiness
 from companion.authority.table import HOLDING, State
+from companion.autopilot.advice import acts_on_traffic
 from companion.autopilot.dialect import use
 from companion.broadcast.broadcaster import Broadcaster
 from companion.config import Config
 from companion.decider import Decider
 from companion.events import (
     AdsbVehicle,
+    ClockRead,
     Command,
     CurrentMode,
     Event,
@@ -50,6 +53,7 @@ from companion.geometry import LocalFrame
 from companion.laws import plugin_of
 from companion.ownship import Ownship
 from companion.traffic.adsb import AdsbTraffic
+from companion.traffic.published import Publication, is_published
 from companion.traffic.tracks import Traffic
 
 
@@ -74,12 +78,14 @@ class Companion:
         identity = config.identity
         self.traffic = Traffic(config.traffic, identity.uas_id, identity.ua_type, config.avoidance)
         self.adsb = AdsbTraffic(None if identity.icao is None else int(identity.icao, 16), config.avoidance)
+        self._publication = Publication()
         self.plan: Plan = plan_of(config)
         self._decider = Decider(config, self.own, self.plan.course, self.traffic, self.adsb)
         self.alerts = self._decider.alerts
         self.broadcaster = Broadcaster(config)
         self._readiness = Readiness(config, self.own, self.broadcaster)
-        self._control = Control(config, self.own, self.plan, self._readiness)
+        self._late_input = LateInput()
+        self._control = Control(config, self.own, self.plan, self._readiness, self._late_input)
         self.chooser = chooser_of(config, policy)
         self._last_step_s: float | None = None
         self._frame: LocalFrame | None = None
@@ -103,6 +109,14 @@ class Companion:
 
     def waits_for(self, now_s: float) -> str | None:
         """Why the vehicle cannot be taken now, in words; None if it can."""
+        return self._not_ready(now_s) or self._late_input.text
+
+    def idle_because(self, now_s: float) -> str | None:
+        """Why nothing is commanded now, in words; None if it could be, or if the state itself says it."""
+        return self.waits_for(now_s) if self.state is State.STANDBY else self._late_input.text
+
+    def _not_ready(self, now_s: float) -> str | None:
+        """As `waits_for`, but without the delay of messages, which only postpones the taking."""
         return self.law_fault or self._readiness.waits_for(now_s, self._control.left_in)
 
     def step(self, now_s: float, events: Sequence[Event]) -> list[Command]:
@@ -133,8 +147,8 @@ class Companion:
         Returns the modes that the vehicle reported, in the form that `Control.step` takes.
         """
         own = self.own
-        behind_s = next((e.since_s for e in events if isinstance(e, InputBehind)), None)
-        sent_s = now_s if behind_s is None else min(behind_s, now_s)
+        behind = next((e for e in events if isinstance(e, InputBehind)), None)
+        sent_s = now_s if behind is None else min(behind.since_s, now_s)
         shown: list[Heartbeat] = []
         heard: list[RemoteIdHeard] = []
         seen: list[AdsbVehicle] = []
@@ -144,7 +158,8 @@ class Companion:
                     heard.append(event)
                     self.broadcaster.observe(event, now_s)
                 case AdsbVehicle():
-                    seen.append(event)
+                    if not is_published(event):
+                        seen.append(event)
                 case RadioState() | OperatorData() | RemoteIdModule():
                     self.broadcaster.observe(event, now_s)
                     if isinstance(event, RadioState):
@@ -178,9 +193,15 @@ class Companion:
                     own.observe(event, now_s, sent_s)
                     if own.heartbeat is not None:
                         shown.append(own.heartbeat)
+                case ClockRead():
+                    own.observe(event, now_s, sent_s)
+                    self._late_input.read(event)
                 case _:
                     own.observe(event, now_s, sent_s)
-        self._mode_known = behind_s is None
+        self._mode_known = behind is None
+        told = self._late_input.step(now_s, behind)
+        if own.heartbeat is not None and self.config.flight.use != "watch":
+            commands += told
         if own.frame is not self._frame:
             self._frame = own.frame
             self.traffic.clear()
@@ -235,6 +256,7 @@ class Companion:
         self.traffic.expire(now_s)
         commands += self.traffic.flagged(now_s)
         commands += self.adsb.full.due(now_s)
+        commands += self._publish(now_s)
         own, readiness = self.own, self._readiness
         readiness.look(now_s, shown)
         if readiness.down(now_s, shown):
@@ -252,7 +274,7 @@ class Companion:
             self._decider.configure(self.config)
             for table in (self.traffic, self.adsb):
                 table.judgement.configure(self.config.avoidance)
-        if standby and self.waits_for(now_s) is None:
+        if standby and self._not_ready(now_s) is None:
             commands += self.plan.prepare(own, now_s)
             if self.plan.ready and not self.plan.near(own, now_s) and not self.plan.remake(own):
                 limit = self.config.flight.start_within_m
@@ -261,6 +283,16 @@ class Companion:
                 )
         if self.plan.course.law is not None:
             self.plan.course.law.note_velocity(now_s, own.velocity_ned_mps)
+
+    def _publish(self, now_s: float) -> Sequence[Command]:
+        """Reports of heard traffic for ground stations, if the configuration wants them."""
+        own, vehicle, wanted = self.own, self.plan.terms.vehicle, self.config.traffic.publish
+        if wanted == "off" or own.frame is None or own.position is None or not self._publication.ready(now_s):
+            return []
+        if wanted == "if-ignored" and (vehicle is None or acts_on_traffic(vehicle) is not None):
+            return []
+        heard = self.traffic.neighbours(now_s)
+        return self._publication.due(now_s, own.position_ned_m(now_s), own.frame, heard)
 
     # ------------------------------------------------------------ decide
 

@@ -41,6 +41,7 @@ from companion.events import (
     Settings,
     Severity,
     Threat,
+    TrafficReport,
     VelocitySetpoint,
 )
 from companion.gate.gate import STALL_S, Gate
@@ -50,7 +51,7 @@ _SAY_AGAIN_S = 5.0
 _HOLDING = frozenset(state.value for state in HOLDING)
 _REQUESTS = (DownloadMission, DownloadFence)
 """Commands for the link that command nothing."""
-_COMMANDS = (VelocitySetpoint, SetMode, SetSpeed, Say, ArmStatus, Threat)
+_COMMANDS = (VelocitySetpoint, SetMode, SetSpeed, Say, ArmStatus, Threat, TrafficReport)
 """Commands for the link that a companion which commands nothing does not send."""
 
 
@@ -208,7 +209,10 @@ class CompanionSystem:
         self.link.begin_step(now_s, behind=since_s is not None)
         advanced = self.link.advance(now_s)
         self._told_gate(advanced, now_s)
-        told: list[Event] = [] if since_s is None else [InputBehind(since_s=since_s)]
+        told: list[Event] = []
+        if since_s is not None:
+            why, by_clock = self.gate.behind_because(now_s)
+            told.append(InputBehind(since_s=since_s, why=why, by_clock=by_clock))
         if self.gate.lost != self._lost:
             self._lost = self.gate.lost
             told.append(GateAuthority(lost=self._lost))

@@ -17,6 +17,7 @@ import numpy as np
 
 from companion.arrays import Bools
 from companion.atmc.actions import TRANSPORTS, Action, able, legal, rates_of, transports_of
+from companion.atmc.audible import CROWD, audible
 from companion.atmc.choice import Mind, Refused
 from companion.atmc.observation import random_phase
 from companion.atmc.plugin_policy import plugin_policy
@@ -65,6 +66,8 @@ class Chooser:
         self._senses = Senses(config.identity.uas_id)
         self._numbers = {} if mind is None else {action: i for i, action in enumerate(mind.actions)}
         self._allowed: Bools = np.zeros(0, bool)
+        self._allowed_of_few: Bools = np.zeros(0, bool)
+        """What a policy may choose while few aircraft are heard."""
         self._can_send: tuple[str, ...] = ()
         self._action: Action | None = None
         self._doubts = 0
@@ -95,6 +98,7 @@ class Chooser:
             if self._mind is not None:
                 actions = self._mind.actions
                 self._allowed = legal(actions, self._region) & able(actions, self._can_send)
+                self._allowed_of_few = audible(actions, self._allowed)
             lost = transports_of(self._action or (0, 0, 0)) - set(self._can_send)
             if self._mind is None:
                 return self._fall_back(Trouble.NO_POLICY, self.trouble or "no policy is loaded")
@@ -125,7 +129,9 @@ class Chooser:
         seen = self._senses.look(now_s, own, traffic, present)
         ble4, ble5, wifi = (present.get(transport, 0) for transport in TRANSPORTS)
         current = self._numbers.get((ble4, ble5, wifi))
-        answer = mind.choose(seen.own, seen.rows, self._allowed, current, self._agent)
+        few = self.by == "policy" and len(seen.rows) < CROWD
+        allowed = self._allowed_of_few if few else self._allowed
+        answer = mind.choose(seen.own, seen.rows, allowed, current, self._agent)
         if isinstance(answer, Refused):
             self._doubts = _SURE_AGAIN
             return self._fall_back(answer.why, answer.text)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from companion.adjustable_parameters import SWITCHED_OFF
 from companion.authority.guard import GuardPlan
 from companion.authority.handback import HandBack
+from companion.authority.late_input import LateInput
 from companion.authority.modes import OurModes
 from companion.authority.plan import Plan
 from companion.authority.readiness import Readiness, was_disarmed
@@ -71,12 +72,15 @@ class Control:
         config: only settings that no ground station can change are read from it.
     """
 
-    def __init__(self, config: Config, own: Ownship, plan: Plan, readiness: Readiness) -> None:
+    def __init__(
+        self, config: Config, own: Ownship, plan: Plan, readiness: Readiness, late_input: LateInput
+    ) -> None:
         self.state = State.STANDBY
         self._config = config
         self._own = own
         self._plan = plan
         self._readiness = readiness
+        self._late_input = late_input
         self._clear_after_s = config.avoidance.n_noncollide * config.avoidance.period_s
         self._late_s = max(_LATE_S, 2.5 / config.flight.setpoint_rate_hz)
         self._guard = plan if isinstance(plan, GuardPlan) else None
@@ -177,7 +181,7 @@ class Control:
             return self.law_fault
         unfit = self._own.unfit(now_s, self._config.vehicle.stale_after_s)
         if unfit is None and self.state in HOLDING and now_s - self._commanded_s > _HUNG_S:
-            why = "the control loop is late, or the vehicle's mode is not known"
+            why = self._late_input.why or "the control loop is late, or the vehicle's mode is not known"
             return f"no command sent for {_HUNG_S:g} s: {why}"
         return unfit
 

@@ -9,7 +9,7 @@ from companion.autopilot.lists.mission import speed_changes
 from companion.avoidance.law import horizon_s
 from companion.avoidance.limits import effective, lower_ones
 from companion.config import Config, LimitsConfig
-from companion.events import MissionItem, VehicleParameters
+from companion.events import Firmware, MissionItem, VehicleParameters
 
 LEAST_TIMEOUT_S = 0.5
 LEAST_SETPOINTS = 5
@@ -21,11 +21,36 @@ _SINGLE = 1.0 + 1e-6
 """Tolerance for single precision in missions and parameters: 5.3 arrives as 5.3000002."""
 
 
-def remarks(config: Config, vehicle: VehicleParameters) -> list[str]:
+def remarks(config: Config, vehicle: VehicleParameters, *, final: bool = False) -> list[str]:
     """Remarks on the vehicle's parameters that the operator should know, in words. If the companion only
-    watches, they concern only the traffic."""
-    late = late_traffic(config, vehicle)
-    return [*([] if late is None else [late]), *_flown(config, vehicle)]
+    watches, they concern only the traffic.
+
+    Args:
+        final: no more parameters will come, so one that is not known stays unknown.
+    """
+    late, acting = late_traffic(config, vehicle), None
+    known = final or (vehicle.adsb_type or vehicle.traffic_action) is not None
+    if config.traffic.publish == "if-ignored" and known:
+        acting = acts_on_traffic(vehicle)
+    told = [late, None if acting is None else f"heard traffic is not published: {acting}"]
+    return [*(text for text in told if text is not None), *_flown(config, vehicle)]
+
+
+def acts_on_traffic(vehicle: VehicleParameters) -> str | None:
+    """Why the autopilot might act on traffic that is published (ADSB_VEHICLE), in words; None if it does not.
+
+    With ADSB_TYPE 0, ArduPilot only forwards the message (MAVLink_routing). PX4 always takes it; up to
+    NAV_TRAFF_AVOID 1 it does no more than warn.
+    """
+    if vehicle.firmware is Firmware.ARDUPILOT:
+        receiver = vehicle.adsb_type
+        if receiver is None:
+            return "ADSB_TYPE is not known"
+        return None if receiver.value == 0 else f"{receiver.name} {receiver.value:g}: the autopilot uses it"
+    action = vehicle.traffic_action
+    if action is None:
+        return "NAV_TRAFF_AVOID is not known"
+    return None if action.value <= 1 else f"{action.name} {action.value:g}: the autopilot avoids it by itself"
 
 
 def late_traffic(config: Config, vehicle: VehicleParameters) -> str | None:

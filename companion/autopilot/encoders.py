@@ -20,7 +20,7 @@ from companion.autopilot.dialect import (
     VELOCITY_YAW_RATE_MASK,
 )
 from companion.autopilot.readers import MAX_ICAO
-from companion.events import Threat
+from companion.events import Threat, TrafficReport
 from companion.geometry import Vec3
 
 Outgoing = tuple[int, bytes]
@@ -33,6 +33,8 @@ ours."""
 TEXT_BYTES = 50
 """Length of STATUSTEXT's text field."""
 _MAX_CHUNKS = 10
+CALLSIGN_BYTES = 8
+"""Longest callsign of ADSB_VEHICLE; a zero byte follows it."""
 
 TYPE_ONBOARD_CONTROLLER: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER
 _MAVLINK_VERSION = 3
@@ -45,6 +47,7 @@ _LIST = struct.Struct("<BBB")
 _REQUEST = struct.Struct("<HBBB")
 _ACK = struct.Struct("<BBBB")
 _COLLISION = struct.Struct("<IfffBBB")
+_ADSB = struct.Struct("<I3i2Hh2HB9s2B")
 _THREAT_LEVELS = (
     mavlink.MAV_COLLISION_THREAT_LEVEL_NONE,
     mavlink.MAV_COLLISION_THREAT_LEVEL_LOW,
@@ -179,6 +182,42 @@ def collision(threat: Threat) -> Outgoing:
         if threat.acting
         else mavlink.MAV_COLLISION_ACTION_REPORT,
         threat.level,
+    )
+
+
+def adsb_vehicle(report: TrafficReport) -> Outgoing:
+    """ADSB_VEHICLE of an aircraft heard by Remote ID, with the emitter type UAV.
+
+    The altitude is above mean sea level, as the message defines it, and of the type GEOMETRIC: it comes from
+    a GNSS receiver. Speeds beyond the fields' range are reported as its end.
+
+    Raises:
+        ValueError: an address of more than 24 bits or a longer callsign than 8 characters, both bugs of ours.
+    """
+    callsign = report.callsign.encode("ascii")
+    if not 0 <= report.icao <= MAX_ICAO or len(callsign) > CALLSIGN_BYTES:
+        raise ValueError(f"{report.icao:#x} {report.callsign!r} does not fit into ADSB_VEHICLE")
+    north, east, down = report.velocity_ned_mps
+    flags = mavlink.ADSB_FLAGS_VALID_COORDS | mavlink.ADSB_FLAGS_VALID_CALLSIGN
+    flags |= mavlink.ADSB_FLAGS_VALID_VELOCITY | mavlink.ADSB_FLAGS_VERTICAL_VELOCITY_VALID
+    if report.alt_msl_m is not None:
+        flags |= mavlink.ADSB_FLAGS_VALID_ALTITUDE
+    if not report.hovers:
+        flags |= mavlink.ADSB_FLAGS_VALID_HEADING
+    return mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE, _ADSB.pack(
+        report.icao,
+        round(report.lat_deg * 1e7),
+        round(report.lon_deg * 1e7),
+        round((report.alt_msl_m or 0.0) * 1e3),
+        0 if report.hovers else round(math.degrees(math.atan2(east, north)) % 360.0 * 100.0) % 36000,
+        min(round(math.hypot(north, east) * 100.0), 0xFFFF),
+        min(max(round(-down * 100.0), -0x8000), 0x7FFF),
+        flags,
+        0,
+        mavlink.ADSB_ALTITUDE_TYPE_GEOMETRIC,
+        callsign,
+        mavlink.ADSB_EMITTER_TYPE_UAV,
+        min(int(report.age_s), 0xFF),
     )
 
 

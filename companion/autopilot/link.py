@@ -72,6 +72,7 @@ from companion.events import (
     SetMode,
     SetSpeed,
     Threat,
+    TrafficReport,
     VehicleParameters,
     VehicleTime,
     VelocitySetpoint,
@@ -359,6 +360,8 @@ class AutopilotLink:
                 self._downloads.fetch(FENCE, now_s)
             case Threat():
                 self._outbox.queue(encoders.collision(command))
+            case TrafficReport():
+                self._outbox.queue(encoders.adsb_vehicle(command))
             case ArmStatus() if self._component is not None:
                 self._component.report(command)
             case Say():

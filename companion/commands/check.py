@@ -88,30 +88,27 @@ def check(config: Config, say: Callable[[str], None], *, as_json: bool = False) 
     Returns:
         0 if no finding is red, otherwise 1.
     """
-    found = Preflight()
-    probes = (
-        _configuration,
-        judge_containment,
-        find_signing,
-        _settings,
-        _kernels,
-        judge_law,
-        _disk,
-        _policy,
-        _radios,
-        _vehicle,
-    )
-    for probe in probes:
-        before = len(found.findings)
-        probe(config, found)
-        if not as_json:
-            for finding in found.findings[before:]:
-                say(finding.line())
+    found = findings(config, None if as_json else say)
     if as_json:
         say(msgspec.json.encode({"ready": found.ready, "findings": found.findings}).decode())
     else:
         say("check: ready" if found.ready else "check: NOT ready")
     return 0 if found.ready else 1
+
+
+def findings(config: Config, say: Callable[[str], None] | None = None) -> Preflight:
+    """Probe everything, and pass each line to `say` as soon as it is known."""
+    found = Preflight()
+    for probe in (
+        _configuration, judge_containment, find_signing, _settings, _kernels, judge_law, _disk, _policy,
+        _radios, _vehicle,
+    ):  # fmt: skip
+        before = len(found.findings)
+        probe(config, found)
+        if say is not None:
+            for finding in found.findings[before:]:
+                say(finding.line())
+    return found
 
 
 def _configuration(config: Config, found: Preflight) -> None:
@@ -381,7 +378,7 @@ def _judge_parameters(config: Config, told: VehicleParameters | None, found: Pre
     deaf = no_receiver(told)
     if deaf is not None:
         found.green("vehicle", deaf)
-    for text in remarks(config, told):
+    for text in remarks(config, told, final=True):
         found.yellow("vehicle", text, "change the parameter or the configuration")
     if watching:
         return

@@ -27,6 +27,7 @@ _EXAMPLES = """examples:
   companion run --config companion.toml --dry-run
   companion status
   companion display
+  companion bench-test --evidence first-flights.json
   companion replay runs/20260101T000000Z-demo
   companion replay flight.tlog --json
   companion replay 00000042.BIN
@@ -89,6 +90,17 @@ def _parser(given: Sequence[str]) -> argparse.ArgumentParser:
     checked.add_argument("--config", type=Path, required=True, help="configuration file (TOML)")
     checked.add_argument("--json", action="store_true", help="print one JSON object")
     checked.set_defaults(run=_check)
+
+    tested = commands.add_parser(
+        "bench-test",
+        help="walk through the first-flight checklist and record its evidence",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    if given and given[0] == "bench-test":
+        from companion.commands import bench_test
+
+        bench_test.add_arguments(tested)
+        tested.set_defaults(run=bench_test.run)
 
     again = commands.add_parser(
         "replay",

@@ -198,6 +198,11 @@ class TrafficConfig(_Section, frozen=True):
     """Ed25519 public key for each identity, to check its signatures with: 64 hex digits, or the path
     (relative to this file) of a PEM file. An identity that is a DRIP entity tag is written as an IPv6
     address."""
+    publish: Literal["off", "if-ignored", "routed"] = "off"
+    """Whether heard Remote ID traffic is sent as ADSB_VEHICLE for the maps of ground stations. An autopilot
+    that takes such messages may avoid the traffic by itself (ArduPilot AVD_*, PX4 NAV_TRAFF_AVOID).
+    "if-ignored": only while the vehicle's parameters show that its autopilot does not act on them. "routed":
+    always, because a router keeps message 246 from the autopilot."""
     anchors: dict[str, str] = {}
     """Ed25519 public key for the DRIP entity tag (an IPv6 address) of each registry whose endorsements of
     aircraft are believed, in the form of `keys`."""

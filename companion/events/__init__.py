@@ -40,7 +40,15 @@ from companion.events.stored import (
     VehicleParameters,
 )
 from companion.events.texts import Say, Severity, VehicleText
-from companion.events.traffic import AdsbVehicle, AlertChanged, Decision, Threat, TrackFlagged, TrackView
+from companion.events.traffic import (
+    AdsbVehicle,
+    AlertChanged,
+    Decision,
+    Threat,
+    TrackFlagged,
+    TrackView,
+    TrafficReport,
+)
 from companion.events.vehicle import (
     SIGMA_UNKNOWN_M,
     ClockRead,
@@ -71,7 +79,7 @@ __all__ = [
     "GlobalPosition", "GnssFix", "Heartbeat", "InputBehind", "Landed", "LandedState", "LocalPosition",
     "MissionCurrent", "MissionDownloaded", "MissionItem", "MissionRefused", "ModeRefused",
     "OperatorData", "Parameter", "RadioState", "RcChannels", "RemoteIdHeard", "RemoteIdModule", "Say",
-    "SetMode", "SetSpeed", "Settings", "Severity", "Threat", "TrackFlagged", "TrackView",
+    "SetMode", "SetSpeed", "Settings", "Severity", "Threat", "TrackFlagged", "TrackView", "TrafficReport",
     "TransportsChosen", "TwoAutopilots", "VehicleParameters", "VehicleText", "VehicleTime",
     "VelocitySetpoint",
 ]  # fmt: skip
@@ -87,5 +95,5 @@ AnyEvent = (
 AnyCommand = (
     VelocitySetpoint | SetMode | SetSpeed | DownloadMission | DownloadFence | Threat | Say | ArmStatus
     | Broadcast | AuthorityChanged | BroadcastChanged | TransportsChosen | TrackFlagged | AlertChanged
-    | Decision | AllowanceSpent
+    | Decision | AllowanceSpent | TrafficReport
 )  # fmt: skip

@@ -15,6 +15,10 @@ class InputBehind(Event, frozen=True):
     """
 
     since_s: float
+    why: str = ""
+    """What was measured, in words."""
+    by_clock: bool = False
+    """The messages look old by the vehicle's own clock."""
 
 
 class GateRefused(Event, frozen=True):

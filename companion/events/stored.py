@@ -104,6 +104,8 @@ class VehicleParameters(Event, frozen=True):
     """ArduPilot: type of the ADS-B receiver; 0: none."""
     adsb_radius_m: Parameter | None = None
     """ArduPilot: aircraft farther away than this are not reported; 0: all are reported."""
+    traffic_action: Parameter | None = None
+    """PX4: what the vehicle does about traffic by itself; 0: nothing, 1: it warns."""
 
 
 class DownloadMission(Command, frozen=True):

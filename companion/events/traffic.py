@@ -47,6 +47,24 @@ class Threat(Command, frozen=True):
     """Least predicted vertical distance."""
 
 
+class TrafficReport(Command, frozen=True):
+    """ADSB_VEHICLE: an aircraft heard by Remote ID, for the maps of ground stations."""
+
+    icao: int
+    """Address from a block that no aircraft uses (`traffic.published`)."""
+    callsign: str
+    lat_deg: float
+    lon_deg: float
+    """Place at the time of the aircraft's message."""
+    alt_msl_m: float | None
+    """None while it reports no height."""
+    velocity_ned_mps: Vec3
+    hovers: bool
+    """Its direction of flight means nothing."""
+    age_s: float
+    """Age of its message."""
+
+
 class TrackFlagged(Command, frozen=True):
     """There is a new reason to doubt a track of received traffic."""
 

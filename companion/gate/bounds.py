@@ -143,7 +143,14 @@ class Bounds:
             return True
         if now_s - self._clock_s > _CLOCKLESS_S:
             return False
-        return now_s - self._stamp_s - self._offset_s > self._late_s
+        return self._delay_s(now_s) > self._late_s
+
+    def delay(self, now_s: float) -> str:
+        """Delay of the messages received now, by the vehicle's own clock, in words with the allowed delay."""
+        return f"{self._delay_s(now_s):.1f} s late (allowed: up to {self._late_s:g} s)"
+
+    def _delay_s(self, now_s: float) -> float:
+        return now_s - self._stamp_s - self._offset_s
 
     def mixed(self, now_s: float) -> bool:
         """Whether the link has lately delivered an old message after a newer one.

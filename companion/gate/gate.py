@@ -93,6 +93,8 @@ _FREE = frozenset(
     }
 )
 """Messages that command nothing and may always be sent."""
+_PUBLISHED = frozenset({mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE})
+"""Sent only with traffic.publish: an autopilot may act on them by itself."""
 _OF_THE_VEHICLE = (GlobalPosition, LocalPosition, VehicleTime, Heartbeat, CurrentMode, LandedState)
 _FILES = mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
 _FILES_OPCODE_AT = 6
@@ -113,6 +115,7 @@ class Gate:
         """Create a gate that is closed until the input has been read and the vehicle has been heard."""
         self.counts: Counter[str] = Counter()
         """Number of refused frames by the name of the rule."""
+        self._free = _FREE if config.traffic.publish == "off" else _FREE | _PUBLISHED
         self._mandate = Mandate(config)
         self._bounds = Bounds(config)
         self._emptied_s = self._decided_s = -math.inf
@@ -139,6 +142,20 @@ class Gate:
     def current(self, now_s: float) -> bool:
         """Whether the known mode is current: read without a backlog, and the vehicle not silent since."""
         return self._fresh and now_s - self._emptied_s <= STALL_S and now_s - self._heard_s <= _SILENCE_S
+
+    def behind_because(self, now_s: float) -> tuple[str, bool]:
+        """Why messages of the vehicle may be old, in words, and whether its own clock says so."""
+        if now_s - self._emptied_s > STALL_S or self.current(now_s):
+            return "the vehicle's messages were not read in time here", False
+        if self._heard_s == -math.inf:
+            return "no message of the vehicle has arrived", False
+        if self._bounds.mixed(now_s):
+            return "old messages of the vehicle arrive after newer ones", False
+        if self._bounds.late(now_s):
+            return f"by its own clock, the vehicle's messages arrive {self._bounds.delay(now_s)}", True
+        if now_s - self._heard_s > _SILENCE_S:
+            return f"the vehicle has sent nothing for {now_s - self._heard_s:.1f} s", False
+        return "no message has shown the vehicle's mode since its messages were last late or missing", False
 
     # ------------------------------------------------------------ in
 
@@ -268,7 +285,7 @@ class Gate:
             return self._command(payload, now_s)
         if message_id == _FILES:
             _check_files(payload)
-        elif message_id not in _FREE:
+        elif message_id not in self._free:
             raise Broken(Rule.KIND, f"message {message_id} is not allowed")
         return False
 

@@ -103,7 +103,7 @@ class MockVehicle:
         self._missions = MissionDesk(self._manners, (self._book, fence))
         self.troubles = Troubles(self._manners, self._params, fence, home, rc_connected=options.rc_connected)
         """Battery, estimator, GNSS, sticks and wrong answers. The caller sets them."""
-        self._traffic = Traffic(
+        self.traffic = Traffic(
             options.traffic,
             home,
             options.geoid_separation_m,
@@ -123,6 +123,7 @@ class MockVehicle:
             "PARAM_SET": self._answer_param,
             "REQUEST_DATA_STREAM": self._take_data_stream,
             "COLLISION": self._note_collision,
+            "ADSB_VEHICLE": lambda message, *_: self.traffic.take(message, used=self._uses_traffic),
             "HEARTBEAT": self._note_heartbeat,
         }
 
@@ -165,6 +166,11 @@ class MockVehicle:
         """True velocity over ground (NED)."""
         body = self._flight.body
         return body.vn, body.ve, body.vd
+
+    @property
+    def _uses_traffic(self) -> bool:
+        """Whether the autopilot uses reports of other components, and reports them as its own."""
+        return not self._manners.adsb_listed or self._params.get("ADSB_TYPE") != 0
 
     @property
     def yaw_rad(self) -> float:
@@ -262,7 +268,8 @@ class MockVehicle:
         if now_s < self._down_until_s:
             return
         for frame, message in messages:
-            if len(self._links) > 1 and self._manners.forwards:
+            kept = frame.message_id == _ADSB and self._uses_traffic
+            if len(self._links) > 1 and self._manners.forwards and not kept:
                 self._links.forward(frame, message, link)
             system = getattr(message, "target_system", 0)
             component = getattr(message, "target_component", 0)
@@ -306,7 +313,7 @@ class MockVehicle:
         for number, link in self._links.items():
             for message_id in link.due(at_s):
                 if message_id == _ADSB:
-                    for report in self._traffic.due(number, at_s):
+                    for report in self.traffic.due(number, at_s):
                         link.send(report)
                 elif (built := builders[message_id](at_s)) is not None:
                     link.send(built)

@@ -1,4 +1,5 @@
-"""Crewed aircraft that the mock vehicle's ADS-B receiver hears, and how its autopilot reports them.
+"""Crewed aircraft that the mock vehicle's ADS-B receiver hears, and how its autopilot reports them and what
+other components report to it.
 
 Every flight is straight, and the receiver reports it once a second. The autopilots' behaviour was read in the
 firmwares' sources. ArduPilot keeps a list of aircraft. It sends one aircraft per interval of the stream and
@@ -9,6 +10,7 @@ with `tslc` unchanged. PX4 forwards each report once, with only the first six fl
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -24,6 +26,7 @@ KEPT_S = 5.0
 _PASSED_ON = 0x3F
 """Flags that PX4 forwards."""
 _SQUAWK = 1200
+_KEPT = 100
 _EPSILON_S = 1e-9
 
 
@@ -86,11 +89,33 @@ class Traffic:
         self._listed = listed
         self._begun: dict[int, tuple[float, int]] = {}
         """Link -> time at which its list was begun, and number of aircraft already sent from it."""
+        self.taken: deque[MavlinkMessage] = deque(maxlen=_KEPT)
+        """The latest ADSB_VEHICLE messages of others that the autopilot used. It reports them as its own."""
+        self._taken = 0
+        self._echoed: dict[int, int] = {}
+        """Link -> number of those messages when it was last sent any."""
         self._passed: dict[tuple[int, int], float] = {}
         """Link and ICAO address -> time of the report that was forwarded last."""
 
+    def take(self, message: MavlinkMessage, *, used: bool) -> None:
+        """Take a report of another component. ArduPilot uses it only with a receiver, PX4 always."""
+        if used:
+            self.taken.append(message)
+            self._taken += 1
+
+    def _echo(self, link: int) -> list[MavlinkMessage]:
+        new = min(self._taken - self._echoed.get(link, 0), len(self.taken))
+        self._echoed[link] = self._taken
+        messages = list(self.taken)[len(self.taken) - new :]
+        for message in messages:
+            message.flags &= 0xFFFF if self._listed else _PASSED_ON
+        return messages
+
     def due(self, link: int, now_s: float) -> list[MavlinkMessage]:
         """Return the messages to send on a link now."""
+        return self._echo(link) + self._own(link, now_s)
+
+    def _own(self, link: int, now_s: float) -> list[MavlinkMessage]:
         heard = [(flight, at_s) for flight in self._flights if (at_s := flight.reported_s(now_s)) is not None]
         return self._next(link, heard, now_s) if self._listed else self._new(link, heard)
 

@@ -76,6 +76,7 @@ DIALECT = Dialect(
         Wanted("setpoint_timeout_s", (("COM_OF_LOSS_T", 1.0),), *TIMEOUTS),
         Wanted("loss_action", (("COM_OBL_RC_ACT", 1.0),), 0, 7),
         Wanted("fence_action", (("GF_ACTION", 1.0),), 0, 5),
+        Wanted("traffic_action", (("NAV_TRAFF_AVOID", 1.0),), 0, 4),
     ),
     integers_bytewise=True,
     silence="follows COM_OBL_RC_ACT",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from companion import __version__
 from companion.adjustable_parameters import SWITCHED_OFF
-from companion.authority.table import HOLDING, State
+from companion.authority.table import HOLDING
 from companion.autopilot.signing import Signing
 from companion.config import Config
 from companion.events import Decision
@@ -66,9 +66,8 @@ class FlightReport:
         core, health = self.onboard.core, self.radio.health(now_s)
         mode = core.own.mode.value if core.own.mode is not None else "unknown"
         unfit = core.own.unfit(now_s, self.config.vehicle.stale_after_s)
-        doing = core.state.value
-        if core.state is State.STANDBY and (waits_for := core.waits_for(now_s)) is not None:
-            doing = f"standby: {waits_for}"
+        idle = core.idle_because(now_s)
+        doing = core.state.value if idle is None else f"{core.state.value}: {idle}"
         return (
             f"{doing}; vehicle mode {mode}, {'armed' if core.own.armed else 'disarmed'}; "
             f"{unfit or 'own state valid'}; {len(core.traffic.tracks)} tracks; radio: {health.text}; "

@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from companion.authority.table import State
 from companion.avoidance.alerts import Level
 from companion.avoidance.law import ASIDE, Neighbour
 from companion.core import Companion
@@ -32,12 +31,11 @@ def core_status(core: Companion, now_s: float, decision: Decision | None) -> dic
     position = own.position
     utc_offset_s = own.utc_offset_s
     tracks = [] if own.frame is None or position is None else _tracks(core, now_s, decision)
-    waits = core.waits_for(now_s) if core.state is State.STANDBY else None
     fix = own.gnss_now(now_s)
     return {
         "utc_s": None if utc_offset_s is None else now_s + utc_offset_s,
         "state": core.state.value,
-        "waits_for": waits,
+        "waits_for": core.idle_because(now_s),
         "unfit": own.unfit(now_s, config.vehicle.stale_after_s),
         "mode": None if own.mode is None else own.mode.value,
         "armed": own.armed,

@@ -65,7 +65,8 @@ class Status(msgspec.Struct, frozen=True, kw_only=True):
     """Unix time in seconds, from the vehicle's clock."""
     state: str
     waits_for: str | None
-    """Why we do not take control of the vehicle; None if we control it or could."""
+    """Why we do not take control of the vehicle, or command nothing although we have it; None if we control
+    it or could."""
     unfit: str | None
     """Why our own state is not fit for flying; None if it is."""
     vehicle: str | None

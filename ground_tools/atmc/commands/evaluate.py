@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -21,12 +21,14 @@ from torch import Tensor
 from companion.arrays import Floats
 from companion.atmc import policy_file
 from companion.atmc.actions import PAPER_ACTIONS, SET_ACTIONS, Action, legal
+from companion.atmc.audible import CROWD, audible
 from companion.atmc.choice import Mind
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
 from companion.atmc.plugin_policy import PluginPolicy
 from companion.atmc.policy import Metadata, Policy, load
 from companion.atmc.rule import BLE4_RANGE_M, FLYING_FAR, FLYING_NEAR, PAPER_FAR, PAPER_NEAR
 from companion.errors import ConfigError
+from ground_tools.atmc.commands.places import Places, Square
 from ground_tools.atmc.env.channel import TorchChannel
 from ground_tools.atmc.env.deciders import Decider, Fixed, Rule, settle
 from ground_tools.atmc.env.environment import Env, EnvSettings, Observation
@@ -39,7 +41,6 @@ from ground_tools.atmc.learners.flat import flat, thawed
 from ground_tools.atmc.learners.set_network import SetNet
 from sitl_mocks.channel.parameters import ChannelParameters
 
-DENSITIES: Final = {"high": SIDES_M[:3], "low": SIDES_M[3:], "dynamic": SIDES_M}
 ROUNDS, COUNTED, PARTS = 6, 2, 4
 """For policies that decide at random phases: rounds at each set of positions, final rounds that count, and
 parts of the fleet per round."""
@@ -63,6 +64,8 @@ class Question:
     seed: int = 1
     sigma_db: float = 0.0
     wifi_channels: Literal["shared", "random"] = "shared"
+    guarded: bool = False
+    """Whether the policy decides with the guard that it has aboard (`companion.atmc.audible`)."""
 
 
 class Frozen:
@@ -72,15 +75,21 @@ class Frozen:
         data: Contents of the policy file.
         name: Name of the file, for error messages.
         allowed: (actions,), which actions may be chosen; None for all.
+        guarded: As in `Question`.
     """
 
-    def __init__(self, data: bytes, name: str, allowed: Tensor | None = None) -> None:
+    def __init__(
+        self, data: bytes, name: str, allowed: Tensor | None = None, *, guarded: bool = False
+    ) -> None:
         self.policy: Policy = load(data, name)
         self.metadata: Metadata = self.policy.metadata
         self._columns = [NEIGHBOUR_COLUMNS.index(c) for c in self.metadata.neighbour_columns]
         self._own = [OWN_COLUMNS.index(c) for c in self.metadata.own_columns]
         count = len(self.metadata.actions)
-        self._refused = torch.zeros(count) if allowed is None else torch.where(allowed, 0.0, -torch.inf)
+        allowed = torch.ones(count, dtype=torch.bool) if allowed is None else allowed
+        self._refused = torch.where(allowed, 0.0, -torch.inf)
+        loud = torch.from_numpy(audible(self.metadata.actions, allowed.numpy())) if guarded else allowed
+        self._refused_of_few = torch.where(loud, 0.0, -torch.inf)
         if self.metadata.kind == "flat":
             self._stack = thawed(data, name)
             return
@@ -95,7 +104,8 @@ class Frozen:
                 values = self._stack.of_all(flat(seen))
             else:
                 values = self._net(seen.own[..., self._own], seen.rows[..., self._columns], seen.heard)
-        values = values + self._refused
+        few = ((seen.heard > 0).sum(-1) < CROWD)[..., None]
+        values = values + torch.where(few, self._refused_of_few, self._refused)
         stay = torch.nn.functional.one_hot(action, values.shape[-1]) * self.metadata.switch_price
         return (values + stay).argmax(-1)
 
@@ -118,7 +128,7 @@ def evaluate(data: bytes, name: str, question: Question) -> dict[str, float | in
         raise ConfigError(
             f"--region: {question.region}: none of the policy's actions is legal in this region"
         )
-    fleet = Frozen(data, name, allowed)
+    fleet = Frozen(data, name, allowed, guarded=question.guarded)
     found = _measured(question, fleet, fleet.metadata.decisions, fleet.metadata.name, allowed)
     return found | {
         "decision_us_median": decision_us(fleet.policy, question.uavs - 1, _rows_of(fleet.policy)),
@@ -140,7 +150,7 @@ def evaluate_plugin(policy: PluginPolicy, question: Question) -> dict[str, float
     allowed = legal(actions, REGIONS[question.region])
     if not allowed.any():
         raise ConfigError(f"--region: {question.region}: none of the policy's actions is legal there")
-    fleet = Plugged(policy, allowed)
+    fleet = Plugged(policy, allowed, guarded=question.guarded)
     found = _measured(question, fleet, "phases", policy.plugin.name, torch.from_numpy(allowed))
     rows = np.zeros((0, len(NEIGHBOUR_COLUMNS)))
     return found | {
@@ -175,9 +185,9 @@ def _measured(
         allowed: (actions,), which actions may be chosen.
     """
     objective, actions = objective_of(question.objective)
-    found = _Sums(len(actions))
+    found = Places()
     for side in SIDES_M:
-        _measure_side(question, objective, fleet, decisions, allowed, side, found)
+        found.squares.append(_measure_side(question, objective, fleet, decisions, allowed, side))
     return {
         "policy": name,
         "objective": question.objective,
@@ -186,7 +196,7 @@ def _measured(
         "load": question.load,
         "samples": question.samples,
         "seed": question.seed,
-        **found.report(allowed, actions),
+        **found.report(allowed.numpy(), actions),
     }
 
 
@@ -223,45 +233,6 @@ def _check(metadata: Metadata, question: Question, name: str) -> None:
         )
 
 
-class _Sums:
-    """Mean costs (ms) by side: of the policy, the rule, the search, and each fixed action."""
-
-    def __init__(self, actions: int) -> None:
-        self._ms: dict[str, list[float]] = {"policy": [], "rule": [], "search": []}
-        self._fixed: list[list[float]] = [[] for _ in range(actions)]
-
-    def add(self, found: dict[str, float], fixed: Sequence[float]) -> None:
-        """Add the means (ms) of one side."""
-        for key, values in self._ms.items():
-            values.append(found[key])
-        for values, value in zip(self._fixed, fixed, strict=True):
-            values.append(value)
-
-    def report(self, allowed: Tensor, actions: Sequence[Action]) -> dict[str, float | str]:
-        """Means by density; for the policy and the search also by side."""
-        at = {density: [SIDES_M.index(side) for side in sides] for density, sides in DENSITIES.items()}
-
-        def mean(values: Sequence[float], density: str) -> float:
-            return round(float(np.mean([values[i] for i in at[density]])), 3)
-
-        legal_ones = [i for i, fits in enumerate(allowed.tolist()) if fits]
-        best = min(legal_ones, key=lambda i: mean(self._fixed[i], "dynamic"))
-        by_side = [min(self._fixed[i][k] for i in legal_ones) for k in range(len(SIDES_M))]
-        return {
-            **{f"{density}_ms": mean(self._ms["policy"], density) for density in DENSITIES},
-            "best_fixed_dynamic_ms": mean(self._fixed[best], "dynamic"),
-            "best_fixed": "+".join(map(str, actions[best])),
-            "best_fixed_by_side_dynamic_ms": round(float(np.mean(by_side)), 3),
-            "rule_dynamic_ms": mean(self._ms["rule"], "dynamic"),
-            "search_dynamic_ms": mean(self._ms["search"], "dynamic"),
-            **{
-                f"{key}side_{side:.0f}_ms": round(values[k], 3)
-                for key, values in (("", self._ms["policy"]), ("search_", self._ms["search"]))
-                for k, side in enumerate(SIDES_M)
-            },
-        }
-
-
 def _measure_side(
     question: Question,
     objective: Objective,
@@ -269,16 +240,14 @@ def _measure_side(
     decisions: str,
     allowed: Tensor,
     side: float,
-    found: _Sums,
-) -> None:
+) -> Square:
     """Measure all methods at the same positions in one square."""
     seed = (question.seed * 1_000_003 + int(side)) * 1_000_003 % 2**63
     generator = torch.Generator().manual_seed(seed)
     chunk = max(1, min(question.samples, _CELLS // question.uavs**2))
     names = ("policy", "rule", "search")
-    total = dict.fromkeys(names, 0.0)
-    fixed = torch.zeros(len(allowed), dtype=torch.float64)
-    weight = 0.0
+    found: dict[str, list[Tensor]] = {name: [] for name in (*names, "weight")}
+    fixed: list[Tensor] = []
     settings = _settings(question, side)
     env: Env | None = None
     done = 0
@@ -291,28 +260,26 @@ def _measure_side(
         # Reseed, so that positions are the same for every policy, however many random numbers it has drawn.
         generator.manual_seed((seed + done) % 2**63)
         env.go_on()
-        total["policy"] += float(_decide(env, fleet, decisions, generator))
+        found["policy"].append(_decide(env, fleet, decisions, generator))
         policy = env.action
-        total["rule"] += float(
-            _decide(env, rule_of(question.objective, objective.channel.actions, allowed), "phases", generator)
-        )
+        rule = rule_of(question.objective, objective.channel.actions, allowed)
+        found["rule"].append(_decide(env, rule, "phases", generator))
         ruled = env.action
         each = torch.stack(
-            [
-                costs(objective, env.air, torch.full_like(policy, k)).sum().double()
-                for k in range(len(allowed))
-            ]
-        )
-        best = int(each.masked_fill(~allowed, torch.inf).argmin())
+            [costs(objective, env.air, torch.full_like(policy, k)).sum(1) for k in range(len(allowed))]
+        ).double()
+        best = int(each.sum(1).masked_fill(~allowed, torch.inf).argmin())
         starts = [policy, ruled, torch.full_like(policy, best)]
         floor = search(objective, env.air, starts, allowed, generator, _SEARCH_ROUNDS)
-        total["search"] += float(costs(objective, env.air, floor).sum())
-        fixed += each
-        weight += float(env.air.weight.sum()) if question.objective == "awareness" else float(some)
+        found["search"].append(costs(objective, env.air, floor).sum(1))
+        fixed.append(each)
+        weighs = question.objective == "awareness"
+        found["weight"].append(env.air.weight.sum((1, 2)) if weighs else torch.ones(some))
         env.action = policy
         done += some
-    scale = 1e3 / max(weight, 1e-9)
-    found.add({name: value * scale for name, value in total.items()}, (fixed * scale).tolist())
+    each_place = {name: torch.cat(parts).double().numpy() for name, parts in found.items()}
+    weight = each_place.pop("weight")
+    return Square(each_place, torch.cat(fixed, 1).numpy(), weight)
 
 
 def _settings(question: Question, side: float) -> EnvSettings:
@@ -326,14 +293,14 @@ def _settings(question: Question, side: float) -> EnvSettings:
 
 
 def _decide(env: Env, decider: Decider, decisions: str, generator: torch.Generator) -> Tensor:
-    """Sum of all costs (s) after the fleet has decided, averaged over the last rounds."""
+    """Sum of each fleet's costs (s), (E,), after it has decided, averaged over the last rounds."""
     if decisions == "together":
-        return env.act(decider.decide(env.observe(), env.action)).sum()
+        return env.act(decider.decide(env.observe(), env.action)).sum(1)
     rounds = 1 if isinstance(decider, Fixed | Rule) else ROUNDS
     last = settle(env, decider, rounds, generator, parts=PARTS)[-COUNTED * PARTS :]
     if rounds == 1:
-        return last[-1].sum()
-    return torch.stack([cost.sum() for cost in last]).mean()
+        return last[-1].sum(1)
+    return torch.stack([cost.sum(1) for cost in last]).mean(0)
 
 
 def _rows_of(policy: Policy) -> tuple[Floats, Floats]:

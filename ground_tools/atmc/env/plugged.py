@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from companion.arrays import Bools
+from companion.atmc.audible import CROWD, audible
 from companion.atmc.choice import Refused
 from companion.atmc.plugin_policy import PluginPolicy
 from companion.errors import ConfigError
@@ -19,11 +20,13 @@ class Plugged:
 
     Args:
         allowed: shape (actions,), which actions may be chosen.
+        guarded: whether the guard decides with it that it has aboard (`companion.atmc.audible`).
     """
 
-    def __init__(self, policy: PluginPolicy, allowed: Bools) -> None:
+    def __init__(self, policy: PluginPolicy, allowed: Bools, *, guarded: bool = False) -> None:
         self._policy = policy
         self._allowed = allowed
+        self._of_few = audible(policy.actions, allowed) if guarded else allowed
 
     def decide(self, seen: Observation, action: Tensor) -> Tensor:
         """See `Decider.decide`.
@@ -37,7 +40,8 @@ class Plugged:
         for fleet in range(action.shape[0]):
             for aircraft in range(action.shape[1]):
                 at = fleet, aircraft
-                answer = self._policy.choose(own[at], rows[at][heard[at]], self._allowed, int(action[at]))
+                allowed = self._of_few if heard[at].sum() < CROWD else self._allowed
+                answer = self._policy.choose(own[at], rows[at][heard[at]], allowed, int(action[at]))
                 if isinstance(answer, Refused):
                     raise ConfigError(answer.text)
                 chosen[at] = answer.index

@@ -68,6 +68,7 @@ def px4_params() -> ParamTable:
             "MAV_SYS_ID": (1.0, INT32),
             "MAV_COMP_ID": (1.0, INT32),
             "COM_OF_LOSS_T": (1.0, REAL32),
+            "NAV_TRAFF_AVOID": (1.0, INT32),
             "COM_OBL_RC_ACT": (0.0, INT32),
             "COM_RC_IN_MODE": (4.0, INT32),
             "COM_RC_OVERRIDE": (1.0, INT32),

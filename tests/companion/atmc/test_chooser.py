@@ -12,6 +12,7 @@ import pytest
 from companion import event_record, replay
 from companion.atmc import chooser as chooser_module
 from companion.atmc.actions import SET_ACTIONS
+from companion.atmc.audible import CROWD
 from companion.atmc.choice import Refused, Why
 from companion.atmc.policy import Bounds, Policy
 from companion.atmc.rule import FIXED_SETS
@@ -103,6 +104,26 @@ def test_a_policy_goes_on_the_air(bench):
     assert not said(made)
     changes = [c for _, c in made.log if isinstance(c, BroadcastChanged)]
     assert all(c.legal for c in changes)
+
+
+def test_a_policy_that_would_hardly_send_stays_audible_until_many_are_heard(bench, monkeypatch):
+    """A network that always prefers Wi-Fi at 2 a second."""
+    favourite = np.array([action == (0, 0, 2) for action in SET_ACTIONS], np.float32)
+    flown = bench(POLICY)
+    monkeypatch.setattr(Policy, "_values", lambda self, own, rows, agent: favourite.copy())
+    flown.step(100)
+    assert chosen(flown)[-1].by == "policy"
+    assert dict(chosen(flown)[-1].rates) == {"ble4": 10, "wifi": 10}
+    for _ in range(40):
+        for number in range(CROWD - 1):
+            hear(flown, f"N{number}", 100.0 + number)
+        flown.step(5)
+    assert dict(chosen(flown)[-1].rates) == {"ble4": 10, "wifi": 10}
+    for _ in range(40):
+        for number in range(CROWD):
+            hear(flown, f"N{number}", 100.0 + number)
+        flown.step(5)
+    assert dict(chosen(flown)[-1].rates) == {"wifi": 2}
 
 
 def test_the_rule_and_the_fixed_set(bench):

@@ -8,6 +8,7 @@ import pytest
 
 from companion import config as configuration
 from companion.atmc.actions import SET_ACTIONS, legal
+from companion.atmc.audible import audible
 from companion.atmc.choice import Choice, Refused, Why
 from companion.atmc.networks import PolicyError
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
@@ -65,9 +66,9 @@ def test_its_choice_goes_on_the_air(watching):
     assert not more
 
 
-def test_an_action_that_is_not_legal_is_not_offered_to_it(watching):
+def test_an_action_that_is_not_legal_or_hardly_audible_is_not_offered_to_it(watching):
     first = chosen(watching("plugin:first"))[0]
-    expected = SET_ACTIONS[int(np.flatnonzero(legal(SET_ACTIONS, US))[0])]
+    expected = SET_ACTIONS[int(np.flatnonzero(audible(SET_ACTIONS, legal(SET_ACTIONS, US)))[0])]
     assert dict(first.rates) == {t: r for t, r in zip(("ble4", "ble5", "wifi"), expected, strict=True) if r}
 
 

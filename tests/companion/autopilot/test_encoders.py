@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot import encoders
 from companion.autopilot.wire import MavlinkWriter
-from companion.events import Threat
+from companion.events import Threat, TrafficReport
 
 
 def threat(**over: Any) -> Threat:
@@ -19,10 +19,28 @@ def threat(**over: Any) -> Threat:
     return Threat(**(values | over))
 
 
+def report(**over: Any) -> TrafficReport:
+    values = {"icao": 0xB12345, "callsign": "RIDMUCA2", "lat_deg": 47.4, "lon_deg": 8.5, "alt_msl_m": 450.5}
+    values |= {"velocity_ned_mps": (-3.0, 4.0, -1.5), "hovers": False, "age_s": 2.9}
+    return TrafficReport(**(values | over))
+
+
 REMOTE_ID_NUMBER = 0x08DF8A4C
 """`printf 1596B0000DMUCA01 | sha256sum`, the first eight digits."""
 
 CASES: list[tuple[encoders.Outgoing, Any]] = [
+    (
+        encoders.adsb_vehicle(report()),
+        mavlink.MAVLink_adsb_vehicle_message(
+            0xB12345, 474000000, 85000000, 1, 450500, 12687, 500, 150, b"RIDMUCA2", 14, 2, 0x9F, 0
+        ),
+    ),
+    (
+        encoders.adsb_vehicle(report(alt_msl_m=None, hovers=True, velocity_ned_mps=(0, 900, 900), age_s=999)),
+        mavlink.MAVLink_adsb_vehicle_message(
+            0xB12345, 474000000, 85000000, 1, 0, 0, 65535, -32768, b"RIDMUCA2", 14, 255, 0x99, 0
+        ),
+    ),
     (encoders.heartbeat(), mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)),
     (
         encoders.velocity_setpoint((1.5, -2.0, 0.25), None, 123456, 7),
@@ -133,3 +151,9 @@ def test_threats_that_are_bugs_of_ours(over: dict[str, Any]) -> None:
 def test_remote_id_tracks_have_their_own_numbers() -> None:
     numbers = {encoders.collision(threat(track_id=f"T{n}", adsb=False))[1][:4] for n in range(1000)}
     assert len(numbers) == 1000
+
+
+@pytest.mark.parametrize("over", [{"icao": 1 << 24}, {"icao": -1}, {"callsign": "NINECHARS"}])
+def test_a_traffic_report_that_does_not_fit_is_a_bug(over: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="does not fit into ADSB_VEHICLE"):
+        encoders.adsb_vehicle(report(**over))

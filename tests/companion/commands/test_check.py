@@ -15,7 +15,7 @@ from companion.broadcast.legal_floor import keep_floor
 from companion.commands.check import _judge_parameters, check
 from companion.commands.check_containment import judge_containment, judge_mission
 from companion.commands.preflight import Preflight
-from companion.config import Config, RecordConfig, VehicleConfig
+from companion.config import Config, RecordConfig, TrafficConfig, VehicleConfig
 from companion.errors import ConfigError
 from companion.events import (
     Firmware,
@@ -312,6 +312,33 @@ def test_the_containment_is_told(make_config: Callable[..., Config]) -> None:
     found = Preflight()
     judge_containment(make_config(use="watch"), found)
     assert not found.findings
+
+
+@pytest.mark.parametrize(
+    ("firmware", "known", "why"),
+    [
+        (Firmware.ARDUPILOT, {}, "ADSB_TYPE is not known"),
+        (Firmware.PX4, {}, "NAV_TRAFF_AVOID is not known"),
+        (
+            Firmware.ARDUPILOT,
+            {"adsb_type": ("ADSB_TYPE", 1.0)},
+            "ADSB_TYPE 1: the autopilot uses it",
+        ),
+        (Firmware.PX4, {"traffic_action": ("NAV_TRAFF_AVOID", 1.0)}, None),
+    ],
+)
+def test_why_heard_traffic_is_not_published_is_told(
+    make_config: Callable[..., Config],
+    firmware: Firmware,
+    known: dict[str, tuple[str, float]],
+    why: str | None,
+) -> None:
+    found = Preflight()
+    made = msgspec.structs.replace(make_config(use="watch"), traffic=TrafficConfig(publish="if-ignored"))
+    values = {key: Parameter(name=name, value=value) for key, (name, value) in known.items()}
+    _judge_parameters(made, VehicleParameters(firmware=firmware, **values), found)
+    told = [f.text for f in found.findings if "not published" in f.text]
+    assert told == ([] if why is None else [f"heard traffic is not published: {why}"])
 
 
 def test_what_the_vehicle_hears_of_crewed_traffic_is_told(make_config: Callable[..., Config]) -> None:

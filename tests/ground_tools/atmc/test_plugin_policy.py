@@ -46,7 +46,21 @@ def test_as_a_decider_it_is_asked_for_each_aircraft():
 
 def test_it_is_evaluated_like_the_fixed_mode_that_it_chooses(capsys):
     assert (
-        main(["atmc", "evaluate", "--policy", "plugin:first", "--samples", "2", "--uavs", "3", "--json"]) == 0
+        main(
+            [
+                "atmc",
+                "evaluate",
+                "--policy",
+                "plugin:first",
+                "--samples",
+                "2",
+                "--uavs",
+                "3",
+                "--no-guard",
+                "--json",
+            ]
+        )
+        == 0
     )
     found = json.loads(capsys.readouterr().out)
     assert (found["policy"], found["objective"], found["switches_per_min"]) == ("first", "awareness", 0.0)

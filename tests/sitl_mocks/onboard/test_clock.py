@@ -2,68 +2,18 @@
 
 from __future__ import annotations
 
-from collections import deque
-
-import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.polled.timesync import timesync
 from companion.autopilot.wire import MavlinkWriter
-from companion.config import Config, IdentityConfig
 from companion.events import Firmware
-from companion.system import CompanionSystem
-from sitl_mocks.vehicle.mock_vehicle import MockVehicle
-from sitl_mocks.vehicle.options import VehicleOptions
+from tests.sitl_mocks.onboard.delayed import Delayed
 
 WAYS = [(0.15, 0.0), (0.0, 0.15), (0.15, 0.15), (0.02, 0.02), (0.0, 0.0)]
 """Down and up (s)."""
-STEP_S = 0.01
-TICK = 5
 SLACK_S = 0.055
 """A request waits for at most one tick, and positions arrive every 100 ms."""
-
-
-class Delayed:
-    """A companion and a vehicle with a slow link."""
-
-    def __init__(self, firmware: Firmware, down_s: float, up_s: float, **options) -> None:
-        self.vehicle = MockVehicle(VehicleOptions(firmware=firmware, **options), np.random.default_rng(1))
-        self.onboard = CompanionSystem(Config(identity=IdentityConfig(uas_id="CLOCK")))
-        self.down_s, self.up_s = down_s, up_s
-        self._down: deque[tuple[float, bytes]] = deque()
-        self._up: deque[tuple[float, bytes]] = deque()
-        self.inject = b""
-        self.step = 0
-
-    @property
-    def now_s(self):
-        return self.step * STEP_S
-
-    def run(self, seconds):
-        for _ in range(round(seconds / STEP_S)):
-            now_s = self.now_s
-            self.vehicle.advance(now_s)
-            self._down.append((now_s + self.down_s, self.vehicle.drain()))
-            while self._down and self._down[0][0] <= now_s + 1e-9:
-                self.onboard.receive(self._down.popleft()[1] + self.inject, now_s)
-            if self.step % TICK == 0:
-                self.onboard.tick(now_s)
-            self._up.append((now_s + self.up_s, self.onboard.drain(now_s)))
-            while self._up and self._up[0][0] <= now_s + 1e-9:
-                self.vehicle.receive(self._up.popleft()[1], now_s)
-            self.step += 1
-
-    @property
-    def error_s(self):
-        """Estimated age of the position minus its true age."""
-        own = self.onboard.core.own
-        stamped_s = own.position.time_boot_s + self.vehicle._telemetry.boot_s
-        return stamped_s - own.sample_s()
-
-    @property
-    def half_s(self):
-        return (self.down_s + self.up_s) / 2
 
 
 @pytest.mark.parametrize(("down_s", "up_s"), WAYS)

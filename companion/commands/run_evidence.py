@@ -1,0 +1,237 @@
+"""What the record of a run shows for a stage of `companion bench-test`: checks with measured values."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from companion import __version__, event_record
+from companion.authority.table import State
+from companion.config import Config
+from companion.errors import ConfigError
+from companion.event_record import Header, Step
+from companion.events import (
+    AuthorityChanged,
+    Broadcast,
+    Decision,
+    GateRefused,
+    GlobalPosition,
+    Heartbeat,
+    InputBehind,
+    Landed,
+    LandedState,
+    SetMode,
+    SetSpeed,
+    VelocitySetpoint,
+)
+
+Stage = Literal["bench", "watch", "guard", "pair"]
+BENCH_S, IN_AIR_S, WATCHED_S, TOGETHER_S = 60.0, 120.0, 60.0, 60.0
+CEILING_ROOM_M = 30.0
+"""Least room between the greatest height that was flown and the configured ceiling, in the stage "guard"."""
+LEAST_APART_M, MET_WITHIN_M = 25.0, 100.0
+"""Stage "pair": with 50 m of offset, two aircraft come no nearer than the one, and nearer than the other."""
+_STALL_S = 0.25
+_SETTLED_S = 10.0
+_BEHIND_SHARE = 0.01
+_LOGGED_S = 1.5
+"""Decisions are logged once a second while nothing is avoided, and more often otherwise."""
+_COMMANDS = (VelocitySetpoint, SetMode, SetSpeed)
+
+
+class Check(msgspec.Struct, frozen=True, kw_only=True):
+    """One thing that was checked."""
+
+    what: str
+    measured: str
+    needed: str
+    passed: bool
+
+
+@dataclass
+class Seen:
+    """Facts of one run."""
+
+    header: Header
+    summary: dict[str, Any]
+    steps: int = 0
+    duration_s: float = 0.0
+    in_air_s: float = 0.0
+    worst_gap_s: float = 0.0
+    behind: int = 0
+    """Steps with late input, after the first seconds."""
+    armed: bool = False
+    down_last: bool = True
+    """The vehicle was on the ground at the end, as far as it reported that."""
+    commands: int = 0
+    broadcasts: Counter[str] = field(default_factory=Counter)
+    faults: list[str] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+    state_s: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    """Time in each state of authority (s)."""
+    highest_m: float = -math.inf
+    together_s: float = 0.0
+    """Time in the air with at least one other aircraft heard."""
+    nearest_m: float = math.inf
+    """Least horizontal distance to another aircraft in the air, as heard."""
+
+
+def read_run(folder: Path) -> Seen:
+    """Read a run folder of `companion run`.
+
+    Raises:
+        ConfigError: it is none, or was not recorded to its end.
+        PeerDataError: its record is damaged.
+    """
+    files = sorted(folder.glob("*.events"))
+    if len(files) != 1:
+        raise ConfigError(
+            f"--run: {folder}: holds {len(files)} event records; allowed: a run of one companion"
+        )
+    try:
+        summary = json.loads((folder / "summary.json").read_text())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"--run: {folder}/summary.json: cannot be read; the run must have ended") from error
+    with files[0].open("rb") as stream:
+        records = event_record.read(stream, str(files[0]))
+        header = next(records, None)
+        if not isinstance(header, Header):
+            raise ConfigError(f"--run: {files[0]}: holds no record")
+        seen = Seen(header, summary if isinstance(summary, dict) else {})
+        _read_steps(seen, (record for record in records if isinstance(record, Step)))
+    return seen
+
+
+def _read_steps(seen: Seen, steps: Iterator[Step]) -> None:
+    landed, state = Landed.UNDEFINED, State.STANDBY.value
+    last_s: float | None = None
+    tracked_s = -math.inf
+    for step in steps:
+        gap_s = 0.0 if last_s is None else step.now_s - last_s
+        last_s = step.now_s
+        seen.steps += 1
+        seen.duration_s += gap_s
+        seen.worst_gap_s = max(seen.worst_gap_s, gap_s)
+        seen.state_s[state] += gap_s
+        in_air = landed is Landed.IN_AIR
+        seen.in_air_s += gap_s if in_air else 0.0
+        seen.together_s += gap_s if in_air and step.now_s - tracked_s <= _LOGGED_S else 0.0
+        for event in step.events:
+            match event:
+                case LandedState():
+                    landed = event.landed
+                case Heartbeat():
+                    seen.armed = seen.armed or event.armed
+                case GlobalPosition() if in_air:
+                    seen.highest_m = max(seen.highest_m, event.height_above_home_m)
+                case InputBehind() if seen.duration_s > _SETTLED_S:
+                    seen.behind += 1
+                case GateRefused() if event.ends != "nothing":
+                    seen.refused.append(event.text)
+        for command in step.commands:
+            seen.commands += isinstance(command, _COMMANDS)
+            match command:
+                case Broadcast():
+                    seen.broadcasts[command.transport] += 1
+                case AuthorityChanged():
+                    state = command.state
+                    if command.state == State.FAULT.value:
+                        seen.faults.append(command.reason)
+                case Decision() if in_air and command.tracks:
+                    tracked_s = step.now_s
+                    _note_tracks(seen, command)
+    seen.down_last = landed is not Landed.IN_AIR
+
+
+def _note_tracks(seen: Seen, decision: Decision) -> None:
+    own = decision.position_ned_m
+    away = [math.hypot(t.position_ned_m[0] - own[0], t.position_ned_m[1] - own[1]) for t in decision.tracks]
+    seen.nearest_m = min(seen.nearest_m, *away)
+
+
+def judge(stage: Stage, seen: Seen, config: Config) -> list[Check]:
+    """All checks of a stage on one run."""
+    checks = [*_of_any_run(seen, config), *_of_authority(stage, seen)]
+    if stage == "bench":
+        lasted, armed = seen.duration_s, "armed" if seen.armed else "never armed"
+        return [
+            *checks,
+            _check("duration", f"{lasted:.0f} s", f"{BENCH_S:g} s", lasted >= BENCH_S),
+            _check("arming", armed, "never armed", not seen.armed),
+        ]
+    flown, down = seen.in_air_s, "on the ground" if seen.down_last else "in the air"
+    checks += [
+        _check("time in the air", f"{flown:.0f} s", f"{IN_AIR_S:g} s", flown >= IN_AIR_S),
+        _check("end of the record", down, "on the ground", seen.down_last),
+    ]
+    if stage == "guard":
+        ceiling = config.limits.ceiling_height_m
+        needed = f"{CEILING_ROOM_M:g} m above the greatest height ({seen.highest_m:.0f} m)"
+        high = ceiling is not None and ceiling >= seen.highest_m + CEILING_ROOM_M
+        measured = "none" if ceiling is None else f"{ceiling:g} m"
+        checks.append(_check("limits.ceiling_height_m", measured, needed, high))
+    return checks + (_of_the_pair(seen) if stage == "pair" else [])
+
+
+def _of_the_pair(seen: Seen) -> list[Check]:
+    together, nearest = seen.together_s, seen.nearest_m
+    measured = f"{nearest:.1f} m" if nearest < math.inf else "nobody heard in the air"
+    needed = f"{LEAST_APART_M:g} to {MET_WITHIN_M:g} m"
+    met = LEAST_APART_M <= nearest <= MET_WITHIN_M
+    enough = together >= TOGETHER_S
+    return [
+        _check("another aircraft heard in the air", f"{together:.0f} s", f"{TOGETHER_S:g} s", enough),
+        _check("least distance to another aircraft", measured, needed, met),
+    ]
+
+
+def _of_any_run(seen: Seen, config: Config) -> list[Check]:
+    s = seen.summary
+    same = msgspec.to_builtins(seen.header.config) == msgspec.to_builtins(config)
+    dropped = s.get("records_dropped"), s.get("recorder_error")
+    behind = seen.behind / max(1, seen.steps)
+    losses = s.get("link_losses")
+    sent = ", ".join(f"{name} {count}" for name, count in sorted(seen.broadcasts.items())) or "nothing"
+    law = bool(config.region.transport_sets)
+    return [
+        _check("software of the run", seen.header.software, __version__, seen.header.software == __version__),
+        _check("configuration of the run", "the same" if same else "another one", "the same", same),
+        _check("record", f"{dropped[0]} dropped, {dropped[1] or 'no error'}", "whole", dropped == (0, None)),
+        _check("longest pause of the loop", f"{seen.worst_gap_s:.2f} s", f"up to {_STALL_S:g} s",
+               seen.worst_gap_s <= _STALL_S),
+        _check("steps with late messages of the vehicle", f"{behind:.1%}", f"up to {_BEHIND_SHARE:.0%}",
+               behind <= _BEHIND_SHARE),
+        _check("link losses", str(losses), "0", losses == 0),
+        _check("commands refused by the gate", "; ".join(seen.refused) or "none", "none", not seen.refused),
+        _check("Remote ID asked of the radios", sent, "something" if law else "anything (no region)",
+               bool(seen.broadcasts) or not law),
+    ]  # fmt: skip
+
+
+def _of_authority(stage: Stage, seen: Seen) -> list[Check]:
+    use = seen.header.config.flight.use
+    wanted = {"bench": ("watch", "guard", "fly"), "watch": ("watch",)}.get(stage, ("guard",))
+    checks = [
+        _check("flight.use", use, " or ".join(wanted), use in wanted),
+        _check("faults", "; ".join(seen.faults) or "none", "none", not seen.faults),
+    ]
+    if stage in ("bench", "watch"):
+        checks.append(_check("commands to the vehicle", str(seen.commands), "0", seen.commands == 0))
+    else:
+        watched = seen.state_s[State.WATCHING.value]
+        checks.append(_check("time guarding the mission", f"{watched:.0f} s", f"{WATCHED_S:g} s",
+                             watched >= WATCHED_S))  # fmt: skip
+        taken = seen.state_s[State.YIELDED.value]
+        checks.append(_check("time after a take-over by the pilot", f"{taken:.0f} s", "0 s", taken == 0.0))
+    return checks
+
+
+def _check(what: str, measured: str, needed: str, passed: bool) -> Check:
+    return Check(what=what, measured=measured, needed=needed, passed=passed)
