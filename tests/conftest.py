@@ -12,30 +12,40 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from companion.avoidance import kernels
-
 settings.register_profile("no wall clock", deadline=None)
 settings.load_profile("no wall clock")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Keep the bytecode of modules, whatever the environment says, and the order of the files.
+    """Set what holds for all processes, the workers and those that tests start.
 
-    Without bytecode every worker, and every process that a test starts, compiles the same hundreds of modules
-    again. pytest-xdist would begin with the files of many tests, and end with those of few long ones, during
-    which other workers idle.
+    - The bytecode of modules is kept, whatever the environment says. Without it every process would compile
+      the same hundreds of modules again.
+    - NumPy and PyTorch compute in one thread. Several would wait for each other, busily, on the cores that
+      the workers share.
+    - SIGINT interrupts. A shell without job control has what it starts in the background ignore it.
+    - The files keep their order. pytest-xdist would begin with the files of many tests, and end with those of
+      few long ones, during which other workers idle.
     """
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(config.option, "loadscopereorder"):  # of pytest-xdist
         config.option.loadscopereorder = False
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A file of real processes, which wait, to every three that compute; many small ones come last."""
+    """A file of real processes, which wait, to every three that compute; many small ones come last.
+
+    Those of `sitl_mocks` come first: they fly no campaign, whose flight may still be being compiled.
+    """
     files = dict.fromkeys(item.path for item in items)
     waiting = [file for file in files if file.parent.name == "integration"]
     computing = [file for file in reversed(files) if file not in waiting]
+    computing.sort(key=lambda file: "sitl_mocks" not in file.parts)
     turn = {file: 3 * n - 0.5 for n, file in enumerate(waiting)}
     turn |= {file: float(n) for n, file in enumerate(computing)}
     items.sort(key=lambda item: turn[item.path])
@@ -51,29 +61,32 @@ def pytest_xdist_auto_num_workers() -> int:
 def pytest_xdist_setupnodes(config: pytest.Config) -> None:
     """Compile once what in a fresh clone all workers, and the processes that they start, would compile.
 
-    While one core compiles the kernels, another one compiles the tests to bytecode, by collecting them.
+    While one core compiles the kernels, another one compiles the tests to bytecode, by collecting them. The
+    campaign's flight is compiled while the first tests run.
     """
+    from companion.avoidance import kernels  # not in the workers: it takes half a second to load
+
     collecting = None
     if not any(Path(kernels.__file__).parent.glob("__pycache__/*/")):
-        command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "--collect-only",
-            "-qq",
-            "-p",
-            "no:cacheprovider",
-            *config.args,
-        ]
-        collecting = subprocess.Popen(
-            command, cwd=config.invocation_params.dir, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        collecting = started(
+            config, "-m", "pytest", "--collect-only", "-qq", "-p", "no:cacheprovider", *config.args
         )
-    from ground_tools.campaign import cells  # takes a second, which the workers do not need to spend
-
     kernels.warm_up()
-    cells.fly(cells.Cell(generator="S2", aircraft=3), [1])
+    flight = "from ground_tools.campaign import cells as c; c.fly(c.Cell(generator='S2', aircraft=3), [1])"
+    compiling = started(config, "-c", flight)
+    config.add_cleanup(compiling.wait)
     if collecting is not None:
         collecting.wait()
+
+
+def started(config: pytest.Config, *arguments: str) -> subprocess.Popen[bytes]:
+    """A Python process that prints nothing."""
+    return subprocess.Popen(
+        [sys.executable, *arguments],
+        cwd=config.invocation_params.dir,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
 
 
 @pytest.fixture

@@ -123,7 +123,7 @@ def test_a_flight_stores_what_is_set_and_the_next_one_begins_with_it(
     settings_path(made).write_bytes(b"{")
     damaged = Flight(made, said.append, dry_run=False)
     assert damaged.onboard.settings == Settings()
-    assert any("damaged" in line and "the configuration applies" in line for line in said)
+    until(lambda: any("damaged" in line and "the configuration applies" in line for line in said))
     damaged._close()
     autopilot.end()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -113,12 +114,22 @@ def test_seeds_side_by_side(config, tmp_path):
     assert [row["reward"] for row in rows(folders[1])] == [row["reward"] for row in rows(alone)]
 
 
-def signalled_while_it_trains(pid: int, number: signal.Signals, root: Path) -> None:
-    """Send the signal when the first rows are written."""
-    give_up = time.monotonic() + 60.0
-    while not list(root.glob("*/metrics.csv")) and time.monotonic() < give_up:
+def signalled_while_it_trains(number: signal.Signals, root: Path, runs: int) -> None:
+    """Send the signal to this process when every run has written its first rows."""
+    give_up = time.monotonic() + 300.0
+    while len(list(root.glob("*/metrics.csv"))) < runs and time.monotonic() < give_up:
         time.sleep(0.05)
-    os.kill(pid, number)
+    os.kill(os.getpid(), number)
+
+
+def train_until(number: signal.Signals, config: Path, root: Path, *more: str, runs: int = 1) -> int:
+    """In this process: another one would take seconds of CPU time to load PyTorch."""
+    before = signal.signal(number, not_handled)
+    try:
+        threading.Thread(target=signalled_while_it_trains, args=(number, root, runs)).start()
+        return train(config, root, "--episodes", "100000", *more)[0]
+    finally:
+        signal.signal(number, before)
 
 
 def goes_on_from_complete_files(root: Path) -> None:
@@ -135,15 +146,8 @@ def not_handled(number: int, _: object) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_leaves_complete_files(number, config, tmp_path, capsys):
-    """In this process: another one would take seconds of CPU time to load PyTorch."""
     root = tmp_path / "runs"
-    before = signal.signal(number, not_handled)
-    try:
-        threading.Thread(target=signalled_while_it_trains, args=(os.getpid(), number, root)).start()
-        code, _ = train(config, root, "--episodes", "100000")
-    finally:
-        signal.signal(number, before)
-    assert code == 130
+    assert train_until(number, config, root) == 130
     assert "--resume" in capsys.readouterr().err
     goes_on_from_complete_files(root)
 
@@ -213,18 +217,10 @@ def test_wrong_keys_of_the_set_network_are_named(text, key, tmp_path, capsys):
 
 def test_several_runs_end_with_the_one_that_began_them(config, tmp_path):
     """SIGTERM to the parent alone: the runs stop as at Ctrl-C, and none is left behind."""
-    command = [sys.executable, "-m", "ground_tools.cli", "atmc", "train", "--algorithm", "madqn"]
-    command += ["--config", str(config), "--out", str(tmp_path / "runs"), "--episodes", "100000"]
-    process = subprocess.Popen([*command, "--seeds", "1-2", "--jobs", "2"], stderr=subprocess.PIPE, text=True)
-    try:
-        give_up = time.monotonic() + 60.0
-        while len(list((tmp_path / "runs").glob("*/metrics.csv"))) < 2 and time.monotonic() < give_up:
-            time.sleep(0.05)
-        os.kill(process.pid, signal.SIGTERM)
-        assert process.wait(30) == 130
-    finally:
-        process.kill()
-    for folder in (tmp_path / "runs").iterdir():
+    root = tmp_path / "runs"
+    assert train_until(signal.SIGTERM, config, root, "--seeds", "1-2", "--jobs", "2", runs=2) == 130
+    assert multiprocessing.active_children() == []
+    for folder in root.iterdir():
         done = torch.load(folder / "checkpoint.pt", weights_only=True)["learner"]["done"]
         assert done == len(rows(folder)) > 0
 

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
 
 from companion.avoidance import kernels as k
 
@@ -33,6 +32,8 @@ def coming(rng: np.random.Generator, count: int = 12) -> tuple[np.ndarray, np.nd
 def test_likelihoods_are_those_of_a_wandering_shift_in_gaussian_noise() -> None:
     """The messages of one hypothesis are jointly Gaussian: an unknown shift that drifts, a part that wanders
     and returns, and noise. The first message only defines the shift."""
+    from scipy.stats import multivariate_normal  # takes a second, which only the worker of this test needs
+
     rssi, places = coming(np.random.default_rng(1))
     count = len(rssi)
     at_s = PASSED_S * np.arange(count)

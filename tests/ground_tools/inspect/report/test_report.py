@@ -102,6 +102,12 @@ def guard(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     return SimpleNamespace(folder=folder, page=page_of(folder))
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages without drawings, which take two seconds a page."""
+    monkeypatch.setattr(plots, "svg", lambda size_in, draw: "<svg></svg>")
+
+
 def test_nothing_of_a_log_is_markup(hostile: str) -> None:
     found = Page(hostile)
     assert "script" not in found.tags
@@ -151,6 +157,7 @@ def test_the_same_run_makes_the_same_page(guard: SimpleNamespace) -> None:
     assert page_of(guard.folder) == guard.page
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_damage_stands_at_the_top(run_folder: Path) -> None:
     path = run_folder / "DMUCA002.events"
     data = bytearray(path.read_bytes())
@@ -210,6 +217,7 @@ def test_it_goes_with_one_run(run_folder: Path, arguments: list[str]) -> None:
         inspect(run_folder, *arguments, "--report", "x.html")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_that_cannot_be_written_is_said(run_folder: Path) -> None:
     with pytest.raises(ConfigError, match=r"--report: no/such/x.html: cannot be written: No such file"):
         inspect(run_folder, "--report", "no/such/x.html")
