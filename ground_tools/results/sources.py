@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import io
-import tokenize
+import re
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -21,6 +21,13 @@ _PACKAGES: Final = ("companion", "ground_tools", "sitl_mocks")
 _DIGITS: Final = 12
 _BOUNDARIES: Final = frozenset({"companion.config.sections", "companion.atmc.senses"})
 """Modules of which results use definitions and constants only. What they import is not followed."""
+
+_STRING_OR_COMMENT: Final = re.compile(
+    r"""(?P<string>\"{3}(?:\\.|[^\\])*?\"{3}|'{3}(?:\\.|[^\\])*?'{3}"""
+    r"""|"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')|#[^\n]*""",
+    re.DOTALL,
+)
+"""The tokens of Python in which a number sign may be. `tokenize` would take a second for this project."""
 
 
 def digests(roots: Iterable[str], root: Path = ROOT) -> dict[str, str]:
@@ -41,7 +48,7 @@ def digests(roots: Iterable[str], root: Path = ROOT) -> dict[str, str]:
             names.add(name)
             if name not in _BOUNDARIES:
                 waiting += _imports(_path(name, root), root)
-    return {name: _digest(_path(name, root)) for name in sorted(names)}
+    return {name: _read(_path(name, root)).digest for name in sorted(names)}
 
 
 def digest(roots: Iterable[str]) -> str:
@@ -57,18 +64,51 @@ def _path(name: str, root: Path) -> Path:
     raise ValueError(f"there is no module {name} in {root}")
 
 
+@dataclass(frozen=True, slots=True)
+class _Module:
+    """What is read of a module's file."""
+
+    digest: str
+    """Of its code."""
+    modules: tuple[str, ...]
+    """What it imports as `import module`, also inside functions, but not for type checkers."""
+    names: tuple[tuple[str, str], ...]
+    """Likewise what it imports as `from module import name`: module and name."""
+    passed_on: tuple[tuple[str, str, str], ...]
+    """Of all that it imports as `from module import name as alias` at its top: alias, module and name."""
+
+
+@cache
+def _read(path: Path) -> _Module:
+    source = path.read_text()
+    tree = ast.parse(source)
+    running = list(_running(tree.body))
+    code = _code(source, tree)
+    return _Module(
+        digest=hashlib.sha256(code.encode()).hexdigest()[:_DIGITS],
+        modules=tuple(a.name for node in running if isinstance(node, ast.Import) for a in node.names),
+        names=tuple((module, alias.name) for module, alias in _from(running)),
+        passed_on=tuple((a.asname or a.name, module, a.name) for module, a in _from(tree.body)),
+    )
+
+
+def _from(statements: Iterable[ast.stmt]) -> Iterator[tuple[str, ast.alias]]:
+    for node in statements:
+        if isinstance(node, ast.ImportFrom) and node.module is not None:
+            for alias in node.names:
+                yield node.module, alias
+
+
 @cache
 def _imports(path: Path, root: Path) -> tuple[str, ...]:
     """Modules of this project that a module imports, also inside functions, but not for type checkers."""
-    found: set[str] = set()
-    for node in _running(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names if _ours(alias.name, root)}
-        elif isinstance(node, ast.ImportFrom) and node.module is not None and _ours(node.module, root):
-            found |= {_home(node.module, alias.name, root) for alias in node.names}
+    read = _read(path)
+    found = {name for name in read.modules if _ours(name, root)}
+    found |= {_home(module, name, root) for module, name in read.names if _ours(module, root)}
     return tuple(sorted(found))
 
 
+@cache
 def _ours(name: str, root: Path) -> bool:
     base = root.joinpath(*name.split("."))
     known = base.with_suffix(".py").is_file() or (base / "__init__.py").is_file()
@@ -81,38 +121,48 @@ def _home(module: str, name: str, root: Path) -> str:
         return f"{module}.{name}"
     path = _path(module, root)
     if path.name == "__init__.py":
-        for node in ast.parse(path.read_text()).body:
-            if isinstance(node, ast.ImportFrom) and node.module is not None and _ours(node.module, root):
-                for alias in node.names:
-                    if (alias.asname or alias.name) == name:
-                        return _home(node.module, alias.name, root)
+        for alias, source, original in _read(path).passed_on:
+            if alias == name and _ours(source, root):
+                return _home(source, original, root)
     return module
 
 
-def _running(tree: ast.AST) -> Iterator[ast.AST]:
-    """All nodes but those below `if TYPE_CHECKING:`."""
-    for node in ast.iter_child_nodes(tree):
+def _statements(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
+    """All statements, also those inside of others."""
+    for node in body:
+        yield node
+        yield from _statements(_inside(node))
+
+
+def _running(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
+    """All statements but those below `if TYPE_CHECKING:`."""
+    for node in body:
         if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
-            for other in node.orelse:
-                yield from _running(other)
+            yield from _running(node.orelse)
             continue
         yield node
-        yield from _running(node)
+        yield from _running(_inside(node))
 
 
-@cache
-def _digest(path: Path) -> str:
-    return hashlib.sha256(code_of(path.read_text()).encode()).hexdigest()[:_DIGITS]
+def _inside(node: ast.stmt) -> list[ast.stmt]:
+    """The statements directly inside of one. There are none in expressions."""
+    found: list[ast.stmt] = []
+    for part in ("body", "orelse", "finalbody"):
+        found += getattr(node, part, [])
+    for part in ("handlers", "cases"):
+        found += [inner for branch in getattr(node, part, []) for inner in branch.body]
+    return found
 
 
 def code_of(source: str) -> str:
     """A module's code without comments, docstrings and blank lines."""
-    lines = source.splitlines()
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type == tokenize.COMMENT:
-            row, column = token.start
-            lines[row - 1] = lines[row - 1][:column]
-    for node in ast.walk(ast.parse(source)):
+    return _code(source, ast.parse(source))
+
+
+def _code(source: str, tree: ast.Module) -> str:
+    # A comment ends with its line, so that taking it away leaves the numbers of lines as they are.
+    lines = _STRING_OR_COMMENT.sub(lambda found: found["string"] or "", source).splitlines()
+    for node in _statements(tree.body):
         match node:
             # A string that is a statement of its own describes the definition above it or around it. One that
             # shares its line with code, as in `class A: "words"`, stays.
