@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -58,35 +59,20 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_setupnodes(config: pytest.Config) -> None:
+def pytest_configure_node(node: Any) -> None:
     """Compile once what in a fresh clone all workers, and the processes that they start, would compile.
 
-    While one core compiles the kernels, another one compiles the tests to bytecode, by collecting them. The
-    campaign's flight is compiled while the first tests run.
+    While the first worker collects the tests, and so compiles them to bytecode, the kernels are compiled.
+    Then the others start, and the campaign's flight is compiled, which the first tests do not need.
     """
+    if node.gateway.id != "gw1":
+        return
     from companion.avoidance import kernels  # not in the workers: it takes half a second to load
 
-    collecting = None
-    if not any(Path(kernels.__file__).parent.glob("__pycache__/*/")):
-        collecting = started(
-            config, "-m", "pytest", "--collect-only", "-qq", "-p", "no:cacheprovider", *config.args
-        )
     kernels.warm_up()
     flight = "from ground_tools.campaign import cells as c; c.fly(c.Cell(generator='S2', aircraft=3), [1])"
-    compiling = started(config, "-c", flight)
-    config.add_cleanup(compiling.wait)
-    if collecting is not None:
-        collecting.wait()
-
-
-def started(config: pytest.Config, *arguments: str) -> subprocess.Popen[bytes]:
-    """A Python process that prints nothing."""
-    return subprocess.Popen(
-        [sys.executable, *arguments],
-        cwd=config.invocation_params.dir,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    compiling = subprocess.Popen([sys.executable, "-c", flight], cwd=Path(__file__).parents[1])
+    node.config.add_cleanup(compiling.wait)
 
 
 @pytest.fixture
