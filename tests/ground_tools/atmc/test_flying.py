@@ -46,6 +46,7 @@ def learned():
 @pytest.mark.parametrize("settings", [SMALL, SMALL_PAPER], ids=["awareness", "paper"])
 def test_a_resumed_run_is_the_uninterrupted_one(settings, monkeypatch):
     monkeypatch.setattr(validation, "_FLEETS", dict.fromkeys(("paper", "awareness"), ((5, 4), (10, 2))))
+    settings = msgspec.structs.replace(settings, fleets=((3, 8), (6, 4)), updates=2)
 
     def rounds(learner, number):
         return [(learner.train(), learner.validate(), learner.frozen("x", {})) for _ in range(number)]
@@ -225,7 +226,7 @@ def test_settling_moves_everybody_once_a_round():
 def test_evaluate_prints_one_object(learned, tmp_path, capsys):
     path = tmp_path / "p.safetensors"
     path.write_bytes(learned.frozen("short", {}))
-    options = ["--policy", str(path), "--uavs", "5", "--samples", "2", "--json"]
+    options = ["--policy", str(path), "--uavs", "5", "--samples", "1", "--json"]
     assert main(["atmc", "evaluate", *options]) == 0
     first = json.loads(capsys.readouterr().out)
     wanted = {
