@@ -113,10 +113,7 @@ def test_what_is_wrong_ends_it_in_its_own_words(address):
 def test_ctrl_c_keeps_what_was_flown_on_the_cluster(address, tmp_path):
     command = [sys.executable, "-m", "ground_tools.cli", *RUN[:-1], "1-200000", "--ray", address,
                "--out", str(tmp_path)]  # fmt: skip
-    process = subprocess.Popen(
-        command, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     end = time.monotonic() + 240.0
     while time.monotonic() < end and not any(p.stat().st_size > 2000 for p in tmp_path.glob("*.jsonl")):
         time.sleep(0.1)

@@ -8,14 +8,13 @@ import signal
 import time
 from pathlib import Path
 
-import pytest
-
 from companion import event_record
 from companion.runtime import clock
 from tests.integration.conftest import Child
 from tests.integration.test_companion_run import fly
+from tests.support import needs
 
-pytest.importorskip("rerun")
+pytestmark = needs.rerun
 
 PART_S = 5.0
 TICK_S = 0.05

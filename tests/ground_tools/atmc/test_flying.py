@@ -140,6 +140,7 @@ def test_it_learns(learned):
     assert learned.rows[-1]["regret_ms"] < 0.5 * learned.rows[0]["regret_ms"]
 
 
+@pytest.mark.usefixtures("brief")
 def test_nothing_is_better_than_the_search(learned):
     found = evaluate(learned.frozen("short", {}), "short", Question("paper", samples=8))
     for other in ("dynamic_ms", "best_fixed_dynamic_ms", "best_fixed_by_side_dynamic_ms", "rule_dynamic_ms"):
@@ -223,6 +224,7 @@ def test_settling_moves_everybody_once_a_round():
 # ---------------------------------------------------------------- the command
 
 
+@pytest.mark.usefixtures("brief")
 def test_evaluate_prints_one_object(learned, tmp_path, capsys):
     path = tmp_path / "p.safetensors"
     path.write_bytes(learned.frozen("short", {}))

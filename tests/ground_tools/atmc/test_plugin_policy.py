@@ -44,6 +44,7 @@ def test_as_a_decider_it_is_asked_for_each_aircraft():
     assert torch.equal(decider.decide(env.observe(), env.action), Fixed(7).decide(env.observe(), env.action))
 
 
+@pytest.mark.usefixtures("brief")
 def test_it_is_evaluated_like_the_fixed_mode_that_it_chooses(capsys):
     assert (
         main(

@@ -174,10 +174,7 @@ def test_what_is_wrong_is_named(options, words, capsys):
 def test_ctrl_c_keeps_what_was_flown(tmp_path):
     command = [sys.executable, "-m", "ground_tools.cli", *S2, "--seeds", "1-200000", "--out", str(tmp_path)]
     command += ["--processes", "2"]
-    process = subprocess.Popen(
-        command, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     end = time.monotonic() + 120.0
     while time.monotonic() < end and not any(p.stat().st_size > 2000 for p in tmp_path.glob("*.jsonl")):
         time.sleep(0.1)

@@ -11,9 +11,12 @@ from ground_tools.inspect.viewer import recording
 from ground_tools.inspect.viewer.palette import colour
 from ground_tools.inspect.viewer.web import WebViewer
 from tests.browser import chromium, viewer
+from tests.support import needs
 
-rr = pytest.importorskip("rerun")
-pytestmark = pytest.mark.skipif(chromium.missing() is not None, reason=str(chromium.missing()))
+pytestmark = [
+    needs.rerun,
+    pytest.mark.skipif(chromium.missing() is not None, reason=str(chromium.missing())),
+]
 
 
 def test_the_web_viewer_draws_the_recording_and_nothing_leaves(tmp_path: Path, run_folder: Path) -> None:
@@ -29,6 +32,8 @@ def test_the_web_viewer_draws_the_recording_and_nothing_leaves(tmp_path: Path, r
 
 
 def test_what_is_sent_to_it_is_drawn_while_it_runs(tmp_path: Path) -> None:
+    import rerun as rr
+
     sent = (230, 30, 200)
     with WebViewer() as web:
         stream = rr.RecordingStream("dmuca", recording_id="live")

@@ -17,8 +17,9 @@ from companion.errors import ConfigError, PeerDataError
 from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.viewer import recording
 from ground_tools.inspect.viewer.live import Bridge, follow
+from tests.support import needs
 
-rr = pytest.importorskip("rerun")
+pytestmark = needs.rerun
 
 
 def rows(path: Path) -> dict[str, int]:
@@ -33,6 +34,8 @@ def rows(path: Path) -> dict[str, int]:
 
 
 def bridged(folder: Path, out: Path, grow: Callable[[Bridge], None]) -> None:
+    import rerun as rr
+
     stream = rr.RecordingStream("dmuca", recording_id="live")
     stream.save(out)
     bridge = Bridge(sorted(folder.glob("*.events")), stream)

@@ -40,8 +40,9 @@ from ground_tools.inspect.viewer import drawing, recording, writer
 from ground_tools.inspect.viewer.live import Bridge
 from ground_tools.inspect.viewer.palette import LEVELS
 from tests.ground_tools.inspect.flights import decision, step, track, write
+from tests.support import needs
 
-rr = pytest.importorskip("rerun")
+pytestmark = needs.rerun
 CONFIG = Config(identity=IdentityConfig(uas_id="ONE"))
 TURNED = (4.0, 3.0, 0.0)
 SMALL, LARGE = writer.MARK_PX[1], writer.MARK_PX[0]
@@ -166,6 +167,8 @@ def test_a_converted_run_has_a_marker_at_each(run: Run, tmp_path: Path) -> None:
 
 def test_a_run_that_is_flown_has_them_too(run: Run, tmp_path: Path) -> None:
     """In three looks, one of which ends within the manoeuvre: it is told once."""
+    import rerun as rr
+
     (path,) = run.folder.glob("*.events")
     whole, grown = path.read_bytes(), tmp_path / path.name
     every = steps()

@@ -29,8 +29,9 @@ from ground_tools.inspect.viewer import drawing, recording, shapes, writer
 from ground_tools.inspect.viewer.blueprint import blueprint
 from ground_tools.inspect.viewer.palette import AUTHORITY, LEVELS
 from tests.ground_tools.inspect.viewer.reading import Read, packed, verify
+from tests.support import needs
 
-pytest.importorskip("rerun")
+pytestmark = needs.rerun
 
 
 def test_the_file_is_sound_and_the_check_would_notice_one_cut_off(saved: Path, tmp_path: Path) -> None:

@@ -19,8 +19,9 @@ from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.viewer import recording
 from ground_tools.inspect.viewer.palette import LIMIT
 from tests.ground_tools.inspect.viewer.reading import Read, packed, verify
+from tests.support import needs
 
-pytest.importorskip("rerun")
+pytestmark = needs.rerun
 
 
 def taking_off(steps: list[Step], at_s: float) -> list[Step]:

@@ -13,8 +13,9 @@ from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.viewer import drawing, recording, scene, writer
 from ground_tools.inspect.viewer.scene import PIECE_S, Encounter, Scene, first_encounter
 from tests.ground_tools.inspect.viewer.reading import ENCOUNTER, WHOLE, Read
+from tests.support import needs
 
-pytest.importorskip("rerun")
+pytestmark = needs.rerun
 
 
 def test_the_encounter_counts_from_the_first_conflict_and_holds_what_lies_around_it(

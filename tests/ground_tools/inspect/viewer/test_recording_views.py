@@ -14,8 +14,9 @@ from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.viewer import recording
 from ground_tools.inspect.viewer.blueprint import _axis, _separation, blueprint, nearest_m
 from ground_tools.inspect.viewer.scene import Aircraft, Encounter, Scene
+from tests.support import needs
 
-pytest.importorskip("rerun")
+pytestmark = needs.rerun
 
 
 def views(container: Any) -> list[str]:
