@@ -45,7 +45,7 @@ def learned():
 
 @pytest.mark.parametrize("settings", [SMALL, SMALL_PAPER], ids=["awareness", "paper"])
 def test_a_resumed_run_is_the_uninterrupted_one(settings, monkeypatch):
-    monkeypatch.setattr(validation, "_FLEETS", dict.fromkeys(("paper", "awareness"), ((5, 4), (10, 2))))
+    monkeypatch.setattr(validation, "_FLEETS", dict.fromkeys(("paper", "awareness"), ((3, 2),)))
     settings = msgspec.structs.replace(settings, fleets=((3, 8), (6, 4)), updates=2)
 
     def rounds(learner, number):

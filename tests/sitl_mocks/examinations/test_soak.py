@@ -36,8 +36,8 @@ def schedule(firmware, use, seed=1, hours=0.1):
 
 @pytest.mark.parametrize(("firmware", "use"), PAIRS)
 def test_no_rule_is_broken(firmware, use):
-    """This flies six minutes; `sitl-mocks soak` flies hours."""
-    told = fly(schedule(firmware, use, 1, 0.1)).told
+    """This flies nine minutes; `sitl-mocks soak` flies hours."""
+    told = fly(schedule(firmware, use, 1, 0.15)).told
     assert told.taken > 0
     assert told.setpoints > 100
     assert sum(told.troubles.values()) > 2
