@@ -228,7 +228,7 @@ def test_settling_moves_everybody_once_a_round():
 def test_evaluate_prints_one_object(learned, tmp_path, capsys):
     path = tmp_path / "p.safetensors"
     path.write_bytes(learned.frozen("short", {}))
-    options = ["--policy", str(path), "--uavs", "5", "--samples", "1", "--json"]
+    options = ["--policy", str(path), "--uavs", "5", "--samples", "2", "--json"]
     assert main(["atmc", "evaluate", *options]) == 0
     first = json.loads(capsys.readouterr().out)
     wanted = {
