@@ -51,6 +51,7 @@ from companion.events.traffic import (
 )
 from companion.events.vehicle import (
     SIGMA_UNKNOWN_M,
+    AirPressure,
     ClockRead,
     CurrentMode,
     EstimatorState,

@@ -17,6 +17,8 @@ ORDER = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: "time_boot_ms x y z vx vy vz",
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: "time_usec lat lon alt eph epv vel cog fix_type satellites_visible "
     "alt_ellipsoid h_acc v_acc vel_acc hdg_acc yaw",
+    mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE: "time_boot_ms press_abs press_diff temperature "
+    "temperature_press_diff",
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: "time_unix_usec time_boot_ms",
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: "vtol_state landed_state",
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: "seq total mission_state mission_mode",
