@@ -137,8 +137,8 @@ class AvoidanceConfig(_Section, frozen=True):
     conflict_radius_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
     """Radius of one aircraft. The separation of two aircraft must be at least twice this radius."""
     crewed_horizontal_m: Annotated[float, Meta(gt=0, le=5000)] = 610.0
-    """Horizontal separation from crewed traffic; alternatively `crewed_vertical_m` must be kept in height. The
-    defaults contain well clear of ASTM F3442: 2,000 ft and 250 ft."""
+    """Horizontal separation from crewed traffic; alternatively `crewed_vertical_m` must be kept in height.
+    The defaults contain well clear of ASTM F3442: 2,000 ft and 250 ft."""
     crewed_vertical_m: Annotated[float, Meta(gt=0, le=1000)] = 77.0
     horizon_s: Annotated[float, Meta(gt=0, le=120)] = 20.0
     period_s: Annotated[float, Meta(ge=0.02, le=1)] = 0.2

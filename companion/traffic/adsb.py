@@ -39,8 +39,8 @@ SIGMA_DOWN_M = 15.0
 """Assumed standard deviation of a geometric height beside ours. GVA 2, which most installations reach, is 45
 m at 95 % in the standard; present GNSS receivers reach a fifth of that, and ours errs by 5 m."""
 PRESSURE_SIGMA_M = 30.0
-"""The same of a pressure altitude beside ours: altimeter, encoder (in steps of up to 100 ft) and static source
-of the other aircraft err by 10 to 30 m, and our own barometer by 10 m."""
+"""The same of a pressure altitude beside ours: altimeter, encoder (in steps of up to 100 ft) and static
+source of the other aircraft err by 10 to 30 m, and our own barometer by 10 m."""
 BAROMETRIC_M = 300.0
 """Least difference from our own height at which a barometric altitude separates aircraft. It corresponds to
 weather that is 37 hPa off the standard atmosphere."""

@@ -23,13 +23,14 @@ from companion.avoidance.kernels.fence_planes import FENCE_MARGIN_M
 from companion.avoidance.kernels.neighbours import Other, other_at
 from companion.avoidance.kernels.settings import STEPS, Own, Settings
 from companion.avoidance.kernels.timelines import Path, point_at
-from companion.avoidance.kernels.vectors import Point, Triple, Vector, clipped, dot, length, minus
+from companion.avoidance.kernels.vectors import Point, Triple, Vector, clipped, length, minus
 from companion.avoidance.kernels.walls import IN_CIRCLE, wall_at
 
 STEP_S = 4.0
 """Time between two moments that are looked at; the motion between them is taken as straight."""
 HORIZON_S = STEP_S * (STEPS - 1)
 HEADINGS = 12
+"""Directions, one of which is north; in each, the greatest speed and half of it are tried."""
 NEAR_RADIUS_M, NEAR_HEIGHT_M = 152.4, 30.48
 """Volume of a near mid-air collision (ASTM F3442): 500 ft and 100 ft."""
 NEAR_WORTH = 10.0
@@ -39,6 +40,9 @@ STAY_WORTH = 0.3
 that has lost it leaves."""
 LEAST_RISK = 0.02
 """A lower risk is not avoided."""
+CONFLICT_RISK = 0.2
+"""From this risk on there is a conflict, even if no other velocity is better: the containment may leave none,
+and it widens in a conflict."""
 SIDE_PRICE, DOWN_PRICE, UP_PRICE = 0.007, 0.001, 0.003
 """Price of a velocity that differs by 1 m/s from that along the path, in losses of well clear."""
 CHANGE_PRICE = 0.003
@@ -88,6 +92,20 @@ class _Follow(NamedTuple):
     path_s: float
 
 
+class _View(NamedTuple):
+    """What the ways are judged by."""
+
+    neighbours: Floats
+    count: int
+    ahead: Floats
+    own: Own
+    path: Path
+    follow: _Follow
+    radius_m: float
+    """Well clear: distance to the side, and in height."""
+    height_m: float
+
+
 @compiled
 def turn_rate(rate: float, before: Triple, now: Triple, passed_s: float) -> float:
     """Turn rate of an aircraft (rad/s, positive to the right) after another message.
@@ -116,7 +134,7 @@ def _predict(other: Other, own_d: float, ahead: Floats) -> None:
     n, e, t = other.n, other.e, 0.0
     for row in range(STEPS):
         until = other.age_s + row * STEP_S
-        parts = max(1, int(math.ceil(until - t)))
+        parts = max(1, math.ceil(until - t))
         step = (until - t) / parts
         for _ in range(parts):
             fade = 1.0 - math.exp(-(t + 0.5 * step) / TURN_FADES_S)
@@ -165,12 +183,13 @@ def _within(aside: float, above: float, radius: float, height: float, at: Floats
 
 
 @compiled
-def _place(way: _Way, follow: _Follow, t: float, own: Own, path: Path) -> Vector:
+def _place(way: _Way, t: float, view: _View) -> Vector:
     """Where a way leads within a time."""
+    own, follow = view.own, view.follow
     before, after = min(t, way.answer_s), max(t - way.answer_s, 0.0)
     point, left = own.position, 0.0
     if way.follows != 0.0 or way.returns != 0.0:
-        point, size = point_at(path, follow.path_s + t), length(follow.gap)
+        point, size = point_at(view.path, follow.path_s + t), length(follow.gap)
         left = max(1.0 - follow.back_mps * t / size, 0.0) if size > 0.0 else 0.0
     down = own.position.d + before * own.velocity.d + after * way.velocity.d
     if way.returns != 0.0:
@@ -186,18 +205,16 @@ def _place(way: _Way, follow: _Follow, t: float, own: Own, path: Path) -> Vector
 
 
 @compiled
-def _risk(
-    ahead: Floats, way: _Way, follow: _Follow, own: Own, path: Path, volume: Point, enough: float
-) -> float:
+def _risk(ahead: Floats, way: _Way, view: _View, enough: float) -> float:
     """Risk of a way with one aircraft, in losses of well clear. No more is added beyond `enough`.
 
     Args:
-        volume: radius and height of well clear.
+        ahead: predictions of the aircraft.
     """
     lost, near, stays = 0.0, 0.0, 0.0
     n, e, d = 0.0, 0.0, 0.0
     for row in range(STEPS):
-        at, place = ahead[row], _place(way, follow, row * STEP_S, own, path)
+        at, place = ahead[row], _place(way, row * STEP_S, view)
         then_n, then_e, then_d = n, e, d
         n, e, d = at[0] - place.n, at[1] - place.e, at[2] - place.d
         k = 1.0
@@ -208,8 +225,8 @@ def _risk(
             above = abs(then_d + k * (d - then_d))
         else:
             aside, above = math.sqrt(n * n + e * e), abs(d)
-        if aside < volume.n + 2.0 * at[5]:
-            chance = _within(aside, above, volume.n, volume.e, at)
+        if aside < view.radius_m + 2.0 * at[5]:
+            chance = _within(aside, above, view.radius_m, view.height_m, at)
             lost, stays = max(lost, chance), stays + chance
             near = max(near, _within(aside, above, NEAR_RADIUS_M, NEAR_HEIGHT_M, at))
             if lost + NEAR_WORTH * near + STAY_WORTH * stays / STEPS >= enough:
@@ -245,25 +262,63 @@ def _free(fence: Floats, own: Own, n: float, e: float) -> float:
 
 
 @compiled
-def _risks(
-    neighbours: Floats, count: int, ahead: Floats, way: _Way, follow: _Follow, own: Own, path: Path,
-    volume: Point, enough: float, keep: bool,
-) -> float:  # fmt: skip
+def _risks(way: _Way, view: _View, enough: float, keep: bool) -> float:
     """Risk of a way with all crewed aircraft.
 
     Args:
         keep: whether to keep the risk of each in its table.
     """
-    sum_ = 0.0
-    for j in range(count):
-        if neighbours[j, 13] != 0.0:
-            risk = _risk(ahead[j], way, follow, own, path, volume, enough - sum_)
+    total = 0.0
+    for j in range(view.count):
+        if other_at(view.neighbours, j).crewed != 0.0:
+            risk = _risk(view.ahead[j], way, view, enough - total)
             if keep:
-                ahead[j, 0, 7] = risk
-            sum_ += risk
-            if sum_ >= enough:
+                view.ahead[j, 0, 7] = risk
+            total += risk
+            if total >= enough:
                 break
-    return sum_
+    return total
+
+
+@compiled
+def _heading(number: int, wanted: Vector, most_mps: float) -> Point:
+    """Horizontal part of a velocity to try: -2 along the path, -1 none, then the headings."""
+    if number == -2:
+        return Point(wanted.n, wanted.e)
+    if number == -1:
+        return Point(0.0, 0.0)
+    speed, angle = most_mps if number < HEADINGS else 0.5 * most_mps, 2.0 * math.pi * number / HEADINGS
+    return Point(speed * math.cos(angle), speed * math.sin(angle))
+
+
+@compiled
+def _price(v: Vector, wanted: Vector, command: Vector) -> float:
+    """Price of a velocity."""
+    lower = v.d - wanted.d
+    aside = math.sqrt((v.n - wanted.n) ** 2 + (v.e - wanted.e) ** 2)
+    height = max(DOWN_PRICE * lower, -UP_PRICE * lower)
+    return SIDE_PRICE * aside + height + CHANGE_PRICE * length(minus(v, command))
+
+
+@compiled
+def _cheapest(
+    view: _View, wanted: Vector, fence: Floats, settings: Settings, command: Vector, least: float
+) -> tuple[Vector, bool]:
+    """The cheapest velocity, and whether one is cheaper than `least`; otherwise it is `wanted`."""
+    wish, found, own = wanted, False, view.own
+    for number in range(-2, 2 * HEADINGS):
+        level = _heading(number, wanted, settings.speed_mps)
+        free = math.inf if number < 0 else _free(fence, own, level.n, level.e)
+        for vertical, d in enumerate((wanted.d, settings.descent_mps, 0.0, -settings.climb_mps)):
+            v = clipped(Vector(level.n, level.e, d), settings.speed_mps)
+            price = _price(v, wanted, command)
+            if price < least:
+                answer = _ANSWER_S + 0.5 * length(minus(v, own.velocity)) / settings.acceleration_mps2
+                way = _Way(v, answer, free, 1.0 if number == -2 else 0.0, 1.0 if vertical == 0 else 0.0)
+                price += _risks(way, view, least - price, False)
+                if price < least:
+                    least, wish, found = price, v, True
+    return wish, found
 
 
 @compiled
@@ -283,46 +338,24 @@ def crewed_wish(
             of an aircraft is the risk of flying on.
 
     Returns:
-        The velocity, and whether it is another than `wanted`.
+        The velocity, and whether there is a conflict: it is another than `wanted`, or flying on is risky.
     """
     any_crewed = False
     for j in range(count):
-        if neighbours[j, 13] != 0.0:
+        other = other_at(neighbours, j)
+        if other.crewed != 0.0:
             any_crewed = True
-            _predict(other_at(neighbours, j), own.position.d, ahead[j])
+            _predict(other, own.position.d, ahead[j])
     if not any_crewed:
         return wanted, False
     gap = minus(own.position, point_at(path, path_s))
-    back = min(length(gap) / settings.recovery_s, settings.speed_mps)
-    follow = _Follow(gap, back, path_s)
+    follow = _Follow(gap, min(length(gap) / settings.recovery_s, settings.speed_mps), path_s)
     radius = settings.crewed_m / math.sqrt(2.0)
-    volume = Point(radius, radius / settings.crewed_vertical)
-    way = _Way(wanted, 0.0, math.inf, 1.0, 1.0)
-    least = _risks(neighbours, count, ahead, way, follow, own, path, volume, math.inf, True)
-    if least < LEAST_RISK:
+    height = radius / settings.crewed_vertical
+    view = _View(neighbours, count, ahead, own, path, follow, radius, height)
+    risk = _risks(_Way(wanted, 0.0, math.inf, 1.0, 1.0), view, math.inf, True)
+    if risk < LEAST_RISK:
         return wanted, False
-    least += CHANGE_PRICE * length(minus(wanted, command))
-    wish, other_way = wanted, False
-    for heading in range(-2, 2 * HEADINGS):
-        n, e = wanted.n, wanted.e
-        if heading >= -1:
-            speed = 0.0 if heading < 0 else (settings.speed_mps if heading < HEADINGS else 0.5 * settings.speed_mps)
-            angle = 2.0 * math.pi * heading / HEADINGS
-            n, e = speed * math.cos(angle), speed * math.sin(angle)
-        follows = 1.0 if heading == -2 else 0.0
-        free = math.inf if heading < 0 else _free(fence, own, n, e)
-        for vertical, d in enumerate((wanted.d, settings.descent_mps, 0.0, -settings.climb_mps)):
-            v = clipped(Vector(n, e, d), settings.speed_mps)
-            aside = math.sqrt((v.n - wanted.n) ** 2 + (v.e - wanted.e) ** 2)
-            lower = v.d - wanted.d
-            change = length(minus(v, command))
-            price = SIDE_PRICE * aside + max(DOWN_PRICE * lower, -UP_PRICE * lower) + CHANGE_PRICE * change
-            if price < least:
-                answer = _ANSWER_S + 0.5 * length(minus(v, own.velocity)) / settings.acceleration_mps2
-                way = _Way(v, answer, free, follows, 1.0 if vertical == 0 else 0.0)
-                price += _risks(
-                    neighbours, count, ahead, way, follow, own, path, volume, least - price, False
-                )
-                if price < least:
-                    least, wish, other_way = price, v, True
-    return wish, other_way
+    least = risk + CHANGE_PRICE * length(minus(wanted, command))
+    wish, found = _cheapest(view, wanted, fence, settings, command, least)
+    return wish, found or risk >= CONFLICT_RISK

@@ -274,8 +274,9 @@ def decide(
     wish, gives_way = wanted, False
     if law == DMUCA:
         wish, gives_way = crewed_wish(
-            neighbours, count, own, wanted, path, own.path_time_s - delay_s, fence, settings, before, work.ahead
-        )
+            neighbours, count, own, wanted, path, own.path_time_s - delay_s, fence, settings, before,
+            work.ahead,
+        )  # fmt: skip
     after, conflict, on_right = neighbour_planes(
         neighbours, count, own, wish, settings, history, samples, work.planes, first, work.seen, work.asked
     )

@@ -57,8 +57,8 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     own: Own = "hover"
     """Speed of our own aircraft over ground, m/s."""
     altitude: Altitude = "geometric"
-    """Altitude that the crewed aircraft sends; pressure: its pressure altitude, and ours is known; barometric:
-    the same, and ours is not known; unheard: it sends nothing."""
+    """Altitude that the crewed aircraft sends; pressure: its pressure altitude, and ours is known;
+    barometric: the same, and ours is not known; unheard: it sends nothing."""
     horizontal_m: Annotated[float, Meta(gt=0)] = AvoidanceConfig().crewed_horizontal_m
     """Separation from crewed traffic that the law keeps."""
     vertical_m: Annotated[float, Meta(gt=0)] = AvoidanceConfig().crewed_vertical_m

@@ -168,7 +168,9 @@ def test_crewed_aircraft_have_volumes_of_their_own() -> None:
     _, (seen,), _, _ = planes_of(other((300.0, 0.0, 0.0), crewed=1.0), **sizes)
     assert seen.radius_m == pytest.approx(100.0 * math.sqrt(2.0) + 2.0)
     for north_m, conflict in ((140.0, True), (300.0, False)):
-        found = planes_of(other((north_m, 0.0, 0.0), crewed=1.0), law="paper", wanted=(0.5, 0.0, 0.0), **sizes)
+        found = planes_of(
+            other((north_m, 0.0, 0.0), crewed=1.0), law="paper", wanted=(0.5, 0.0, 0.0), **sizes
+        )
         assert found[3] == conflict
 
 

@@ -9,7 +9,7 @@ from companion.avoidance import kernels as k
 from companion.avoidance.kernels.neighbours import volume_of
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
-from companion.config import AvoidanceConfig, Config, IdentityConfig, LimitsConfig
+from companion.config import Config, IdentityConfig, LimitsConfig
 from companion.core import Companion
 from companion.events import Decision, FenceArea
 from companion.ownship import Ownship
