@@ -76,6 +76,11 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
         return AvoidanceConfig(crewed_horizontal_m=self.horizontal_m, crewed_vertical_m=self.vertical_m)
 
     @property
+    def reach_m(self) -> tuple[float, float]:
+        """How far the containment lets crewed traffic push our own aircraft to the side, and up."""
+        return reach_m(ContainmentConfig(), self.avoidance)
+
+    @property
     def limits(self) -> LimitsConfig:
         """Limits of our own aircraft."""
         speed = max(SPEED_MPS[self.own] + RESERVE_MPS, LEAST_MOST_MPS)
@@ -142,7 +147,7 @@ def flown(cell: Cell, encounter: pairing.Encounter, seed: int, *, avoids: bool) 
     path = Trajectory(encounter.own_times_s.tolist(), encounter.own_points.tolist())
     avoidance, error = cell.avoidance, np.random.default_rng([seed, 13]).normal(0.0, HEIGHT_ERROR_M)
     law = settings_of(avoidance, cell.limits, path)
-    side_m, above_m = reach_m(ContainmentConfig(), avoidance)
+    side_m, above_m = cell.reach_m
     world = msgspec.structs.replace(
         WORLD, loss=cell.loss, ceiling_m=min(WORLD.ceiling_m, above_m - float(encounter.own_points[0, 2]))
     )
