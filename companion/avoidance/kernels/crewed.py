@@ -29,6 +29,9 @@ from companion.avoidance.kernels.walls import IN_CIRCLE, wall_at
 STEP_S = 4.0
 """Time between two moments that are looked at; the motion between them is taken as straight."""
 HORIZON_S = STEP_S * (STEPS - 1)
+MOST = 32
+"""Most crewed aircraft that are weighed: those that could lose well clear first. A decision about 200 would
+take too long."""
 HEADINGS = 12
 """Directions, one of which is north; in each, the greatest speed and half of it are tried."""
 NEAR_RADIUS_M, NEAR_HEIGHT_M = 152.4, 30.48
@@ -95,9 +98,10 @@ class _Follow(NamedTuple):
 class _View(NamedTuple):
     """What the ways are judged by."""
 
-    neighbours: Floats
     count: int
+    """Number of neighbours."""
     ahead: Floats
+    """Predictions; the last entry of an aircraft's second row says whether it is weighed."""
     own: Own
     path: Path
     follow: _Follow
@@ -150,6 +154,37 @@ def _predict(other: Other, own_d: float, ahead: Floats) -> None:
         ahead[row, 4] = math.sqrt(SIGMA_M**2 + (STEADY_SHARE * way) ** 2)
         ahead[row, 5] = math.sqrt(SIGMA_M**2 + (CHANGED_SHARE * way) ** 2)
         ahead[row, 6] = math.sqrt(other.sigma_down_m**2 + (DOWN_MPS * until) ** 2) if known else math.inf
+
+
+@compiled
+def _select(neighbours: Floats, count: int, own: Own, radius: float, speed: float, ahead: Floats) -> bool:
+    """Predict the crewed aircraft that are weighed. Returns whether there is one.
+
+    Args:
+        radius, speed: distance of well clear, and the own greatest speed.
+    """
+    found = 0
+    for j in range(count):
+        other = other_at(neighbours, j)
+        ahead[j, 0, 7], ahead[j, 1, 7], ahead[j, 2, 7] = 0.0, 0.0, math.inf
+        if other.crewed != 0.0:
+            found += 1
+            n = other.n + other.age_s * other.vn - own.position.n
+            e = other.e + other.age_s * other.ve - own.position.e
+            most = math.sqrt(other.vn * other.vn + other.ve * other.ve) + speed
+            ahead[j, 2, 7] = max(math.sqrt(n * n + e * e) - radius, 0.0) / most
+    for j in range(count):
+        other = other_at(neighbours, j)
+        if other.crewed != 0.0:
+            sooner = 0
+            if found > MOST:
+                for i in range(count):
+                    mine, others = ahead[j, 2, 7], ahead[i, 2, 7]
+                    sooner += 1 if others < mine or (others == mine and i < j) else 0
+            if sooner < MOST:
+                ahead[j, 1, 7] = 1.0
+                _predict(other, own.position.d, ahead[j])
+    return found > 0
 
 
 @compiled
@@ -270,7 +305,7 @@ def _risks(way: _Way, view: _View, enough: float, keep: bool) -> float:
     """
     total = 0.0
     for j in range(view.count):
-        if other_at(view.neighbours, j).crewed != 0.0:
+        if view.ahead[j, 1, 7] != 0.0:
             risk = _risk(view.ahead[j], way, view, enough - total)
             if keep:
                 view.ahead[j, 0, 7] = risk
@@ -340,19 +375,13 @@ def crewed_wish(
     Returns:
         The velocity, and whether there is a conflict: it is another than `wanted`, or flying on is risky.
     """
-    any_crewed = False
-    for j in range(count):
-        other = other_at(neighbours, j)
-        if other.crewed != 0.0:
-            any_crewed = True
-            _predict(other, own.position.d, ahead[j])
-    if not any_crewed:
+    radius = settings.crewed_m / math.sqrt(2.0)
+    if not _select(neighbours, count, own, radius, settings.speed_mps, ahead):
         return wanted, False
     gap = minus(own.position, point_at(path, path_s))
     follow = _Follow(gap, min(length(gap) / settings.recovery_s, settings.speed_mps), path_s)
-    radius = settings.crewed_m / math.sqrt(2.0)
     height = radius / settings.crewed_vertical
-    view = _View(neighbours, count, ahead, own, path, follow, radius, height)
+    view = _View(count, ahead, own, path, follow, radius, height)
     risk = _risks(_Way(wanted, 0.0, math.inf, 1.0, 1.0), view, math.inf, True)
     if risk < LEAST_RISK:
         return wanted, False

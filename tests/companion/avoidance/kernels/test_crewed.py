@@ -117,6 +117,17 @@ def test_two_cost_more_than_one() -> None:
     assert d > 1.5
 
 
+def test_of_a_crowd_those_count_that_could_come_first() -> None:
+    """However many others are farther away, and wherever in the table it stands."""
+    crowd = [other((5000.0, 10.0 * i, -80.0), (-40.0, 0.0, 0.0)) for i in range(60)]
+    near = other((1500.0, 100.0, -85.0), (-40.0, 0.0, 0.0))
+    for row in (0, 30, 60):
+        wish, gives_way = wish_of(*crowd[:row], near, *crowd[row:])
+        assert gives_way
+        assert wish != NORTH.velocity(0.0)
+    assert not wish_of(*crowd)[1]
+
+
 @pytest.mark.parametrize("degrees", [-12.0, 0.0, 3.0])
 def test_turn_rates(degrees: float) -> None:
     rate, before = 0.0, (30.0, 0.0, 0.0)
