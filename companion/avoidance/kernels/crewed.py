@@ -39,8 +39,8 @@ NEAR_RADIUS_M, NEAR_HEIGHT_M = 152.4, 30.48
 NEAR_WORTH = 10.0
 """A near mid-air collision counts as so many losses of well clear more."""
 STAY_WORTH = 0.3
-"""Worth of being within well clear for the whole horizon, beside that of losing it at all. So an aircraft
-that has lost it leaves."""
+"""Worth of being within a volume for the whole horizon, as a share of that of entering it. So an aircraft that
+is within leaves."""
 LEAST_RISK = 0.02
 """A lower risk is not avoided."""
 CONFLICT_RISK = 0.2
@@ -262,8 +262,9 @@ def _risk(ahead: Floats, way: _Way, view: _View, enough: float) -> float:
             aside, above = math.sqrt(n * n + e * e), abs(d)
         if aside < view.radius_m + 2.0 * at[5]:
             chance = _within(aside, above, view.radius_m, view.height_m, at)
-            lost, stays = max(lost, chance), stays + chance
-            near = max(near, _within(aside, above, NEAR_RADIUS_M, NEAR_HEIGHT_M, at))
+            close = _within(aside, above, NEAR_RADIUS_M, NEAR_HEIGHT_M, at)
+            lost, near = max(lost, chance), max(near, close)
+            stays += chance + NEAR_WORTH * close
             if lost + NEAR_WORTH * near + STAY_WORTH * stays / STEPS >= enough:
                 break
     return lost + NEAR_WORTH * near + STAY_WORTH * stays / STEPS

@@ -67,6 +67,16 @@ def test_one_below_is_not_passed_below() -> None:
     assert d < 0.0 or math.hypot(n, e) > 1.0
 
 
+@pytest.mark.parametrize("known", [0.0, 1.0])
+def test_who_is_near_already_is_left(known: float) -> None:
+    """It flies beside us, 90 m to the west and 20 m lower."""
+    beside = other((0.0, -90.0, -60.0), (5.0, 0.0, 0.0), vertical_known=known)
+    (_, e, d), gives_way = wish_of(beside, path=NORTH)
+    assert gives_way
+    assert e > 1.0 or d < -1.0
+    assert e > 1.0 or known
+
+
 def test_an_unknown_height_leaves_the_side() -> None:
     """And away from the line on which it comes, to the nearer side of it."""
     for side in (-150.0, 150.0):
