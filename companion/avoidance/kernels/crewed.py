@@ -39,8 +39,8 @@ NEAR_RADIUS_M, NEAR_HEIGHT_M = 152.4, 30.48
 NEAR_WORTH = 10.0
 """A near mid-air collision counts as so many losses of well clear more."""
 STAY_WORTH = 0.3
-"""Worth of being within a volume for the whole horizon, as a share of that of entering it. So an aircraft that
-is within leaves."""
+"""Worth of being within a volume for the whole horizon, as a share of that of entering it. So an aircraft
+that is within leaves."""
 LEAST_RISK = 0.02
 """A lower risk is not avoided."""
 CONFLICT_RISK = 0.2
