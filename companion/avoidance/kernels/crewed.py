@@ -98,7 +98,7 @@ class _Follow(NamedTuple):
 class _View(NamedTuple):
     """What the ways are judged by."""
 
-    count: int
+    rows: int
     """Number of neighbours."""
     ahead: Floats
     """Predictions; the last entry of an aircraft's second row says whether it is weighed."""
@@ -213,7 +213,8 @@ def _within(aside: float, above: float, radius: float, height: float, at: Floats
         level = _below((height - above) / at[6]) - _below((-height - above) / at[6])
     if level <= 0.0:
         return 0.0
-    chance = at[3] * _beside(aside, radius, at[4]) + (1.0 - at[3]) * _beside(aside, radius, at[5])
+    steady: float = at[3]
+    chance = steady * _beside(aside, radius, at[4]) + (1.0 - steady) * _beside(aside, radius, at[5])
     return level * chance
 
 
@@ -305,7 +306,7 @@ def _risks(way: _Way, view: _View, enough: float, keep: bool) -> float:
         keep: whether to keep the risk of each in its table.
     """
     total = 0.0
-    for j in range(view.count):
+    for j in range(view.rows):
         if view.ahead[j, 1, 7] != 0.0:
             risk = _risk(view.ahead[j], way, view, enough - total)
             if keep:

@@ -147,8 +147,8 @@ class Scene:
 
 
 def scene(seed: int, crowd: int = 6) -> Scene:
-    """Small aircraft. Those with a crew are left downwards first, in directions of the compass, and with a view
-    to walls that are far: they have no such images."""
+    """Small aircraft. Those with a crew are left downwards first, in directions of the compass, and with a
+    view to walls that are far: they have no such images."""
     rng = np.random.default_rng(seed)
 
     def at(spread: float, down: float) -> Vec3:
