@@ -70,14 +70,14 @@ def test_a_wider_window_holds_encounters_that_stay_well_clear(capsys):
 def test_text(capsys):
     assert cli.main([*TINY_RUN, "--seeds", "1-40"]) == 0
     text = capsys.readouterr().out
-    assert "tiny, heard with geometric altitude; own aircraft hovering, separations 150 m or 50 m" in text
+    assert "tiny, heard with geometric altitude; own aircraft hovering, separations 610 m or 77 m" in text
     assert "risk ratio: " in text
     assert "ASTM F3442: at most 0.18" in text
     assert "40 encounters flown in" in text
 
 
 def test_text_without_a_ratio():
-    rows = [Row(1, 1.0, False, False, None, None, None, 3.0, 1.0)]
+    rows = [Row(1, 1.0, False, False, None, None, None, 3.0, 1.0, 2.0)]
     one = Cell(model="m", digest="0")
     found = report.summary(one, rows)
     assert found["risk_ratio"] is found["risk_ratio_interval"] is None
@@ -86,10 +86,10 @@ def test_text_without_a_ratio():
 
 def test_the_numbers_of_a_cell():
     rows = [
-        Row(1, 1.0, True, True, 100.0, 90.0, 60.0, 10.0, 1.0),
-        Row(2, 3.0, False, True, None, 95.0, 96.0, 20.0, 1.0),
-        Row(3, 1.0, True, False, 99.0, None, 50.0, 30.0, 1.0),
-        Row(4, 1.0, False, False, None, 80.0, None, 40.0, 1.0),
+        Row(1, 1.0, True, True, 100.0, 90.0, 60.0, 10.0, 1.0, 9.0),
+        Row(2, 3.0, False, True, None, 95.0, 96.0, 20.0, 1.0, 19.0),
+        Row(3, 1.0, True, False, 99.0, None, 50.0, 30.0, 1.0, 8.0),
+        Row(4, 1.0, False, False, None, 80.0, None, 40.0, 1.0, 7.0),
     ]
     found = report.summary(Cell(model="m", digest="0"), rows)
     assert (found["nmac"], found["nmac_unavoided"], found["nmac_induced"]) == (2, 2, 1)
@@ -101,6 +101,7 @@ def test_the_numbers_of_a_cell():
     assert (found["alerts"], found["false_alerts"], found["late_alerts"]) == (3, 1, 2)
     assert found["alert_time_median_s"] == pytest.approx(0.5 * (30.0 - 1.0))
     assert (found["deviation_median_m"], found["deviation_max_m"]) == (25.0, 40.0)
+    assert (found["aside_max_m"], found["containment_m"]) == (19.0, 762.5)
     assert found["nmac_seeds"] == [1, 3]
 
 
