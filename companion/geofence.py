@@ -54,7 +54,9 @@ class _Area(_Section, frozen=True):
                 raise ValueError(f"{name}: {list(place)}: expected [latitude, longitude]")
 
 
-class _File(_Section, frozen=True):
+class FenceFile(_Section, frozen=True):
+    """A fence file: areas that the aircraft stays inside or outside of."""
+
     area: Annotated[tuple[_Area, ...], Meta(min_length=1)]
 
 
@@ -64,7 +66,7 @@ def load_fence(path: Path) -> tuple[FenceArea, ...]:
     Raises:
         ConfigError: names the file, the key and what is allowed.
     """
-    areas = tuple(map(_area, decode_toml(path, _File).area))
+    areas = tuple(map(_area, decode_toml(path, FenceFile).area))
     try:
         check_areas(areas)
     except ConfigError as error:

@@ -1,0 +1,97 @@
+"""docs/getting-started.md, followed line by line: each file saved, each command run, in its order."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "getting-started.md").read_text()
+PARTS = re.findall(r"Save this as `(\S+)`:\n\n```toml\n(.*?)```|((?:^    [^\n]*\n)+)", PAGE, re.S | re.M)
+PORTS = ("14640", "14540", "14541")
+
+
+def script():
+    """The page as a program for bash: what is saved, and what is typed."""
+    lines = ["set -e"]
+    for name, content, commands in PARTS:
+        lines.append(f"cat >{name} <<'END'\n{content}END" if name else re.sub("^    ", "", commands, flags=re.M))
+    # A background job that was stopped on purpose is no error.
+    return "\n".join(lines).replace("\nwait\n", "\nwait || true\n")
+
+
+def free_ports(count):
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    for one in sockets:
+        one.bind(("127.0.0.1", 0))
+    ports = [str(one.getsockname()[1]) for one in sockets]
+    for one in sockets:
+        one.close()
+    return ports
+
+
+@pytest.fixture
+def programs(tmp_path):
+    """A folder with the three commands, which run this code."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    for name, module in (
+        ("companion", "companion"),
+        ("sitl-mocks", "sitl_mocks"),
+        ("ground-tools", "ground_tools"),
+    ):
+        path = folder / name
+        path.write_text(f'#!/bin/sh\nexec {sys.executable} -m {module} "$@"\n')
+        path.chmod(0o755)
+    return folder
+
+
+def test_the_page_has_what_is_followed():
+    assert [name for name, _, _ in PARTS if name] == ["south.toml", "north.toml"]
+    typed = "".join(commands for _, _, commands in PARTS)
+    for command in ("serve", "ether", "check", "run", "status", "inspect"):
+        assert f" {command} " in typed, command
+    assert all(port in PAGE for port in PORTS)
+
+
+def test_two_aircraft_meet_and_are_kept_apart(tmp_path, programs):
+    pytest.importorskip("matplotlib", reason="the report needs the extra inspect")
+    text = script()
+    for port, free in zip(PORTS, free_ports(len(PORTS)), strict=True):
+        text = text.replace(f"127.0.0.1:{port}", f"127.0.0.1:{free}")
+    environment = os.environ | {
+        "PATH": f"{programs}:{os.environ['PATH']}",
+        "PYTHONPATH": str(ROOT),
+        "HOME": str(tmp_path),
+    }
+    process = subprocess.Popen(
+        ["bash", "-c", text],
+        cwd=tmp_path,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        output, _ = process.communicate(timeout=500.0)
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == 0, output
+    folder = tmp_path / "first-flight"
+    for name in ("south", "north"):
+        log = (folder / f"{name}.log").read_text()
+        assert "guarding -> avoiding" in log, log
+        assert "avoiding -> recovering" in log, log
+    (nearest_m,) = re.findall(r"1596B0000DMUCA1[12].*?([\d.]+) m", output)[-1:]
+    assert float(nearest_m) > 10.0, output
+    assert (folder / "report.html").stat().st_size > 10_000
