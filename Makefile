@@ -1,9 +1,9 @@
-# make demo | test | lint | bench | fuzz: each sets up what it needs in .venv first, by pip.
+# make demo | test | lint | bench | fuzz | site | packages: each sets up what it needs in .venv first, by pip.
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench fuzz picture clean
+.PHONY: demo test lint bench fuzz site packages picture clean
 
 demo: .venv/base.stamp
 	$(BIN)/sitl-mocks demo
@@ -23,6 +23,20 @@ bench: .venv/dev.stamp
 SEED ?= $(shell date +%Y%m%d)
 fuzz: .venv/dev.stamp
 	nice $(BIN)/python -m tests.fuzz.run --payloads 10000000 --seconds 3600 --seed $(SEED)
+
+# The documentation as a site in build/site; a broken link or anchor is an error.
+site: .venv/docs.stamp
+	$(BIN)/mkdocs build --strict --quiet
+	@echo "build/site/index.html"
+
+# Installs the wheel, a Debian package and a container image in empty systems. Needs root, mmdebstrap and more; what
+# is missing is named, and that part is skipped (exit code 77).
+packages: .venv/dev.stamp
+	rm -rf build/dist
+	$(BIN)/python -m hatchling build -t wheel -d build/dist
+	for script in try_install try_deb try_image; do \
+	    tests/packaging/$$script.sh build/dist/*.whl || [ $$? = 77 ] || exit 1; \
+	done
 
 picture: .venv/dev.stamp
 	$(BIN)/sitl-mocks demo --runs runs/picture
@@ -45,4 +59,9 @@ clean:
 .venv/dev.stamp: pyproject.toml | .venv/bin/python
 	@echo "installing dmuca with its test and inspection tools into .venv (once; a few minutes)"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,inspect,train,cluster,fly]'
+	@touch .venv/base.stamp $@
+
+.venv/docs.stamp: pyproject.toml | .venv/bin/python
+	@echo "installing what the documentation is built with into .venv (once)"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	@touch .venv/base.stamp $@

@@ -94,6 +94,8 @@ def test_files_that_the_document_copies_are_in_the_project():
         ROOT / "deploy" / name
         for name in (
             "99-dmuca.rules",
+            "container",
+            "debian",
             "dmuca-companion.service",
             "mavlink-router.conf",
             "mavlink-router-restart.conf",

@@ -5,12 +5,14 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+import runpy
 import textwrap
 from pathlib import Path
 
 import pytest
 
 from companion import config as configuration
+from companion.atmc.actions import SET_ACTIONS
 from sitl_mocks.encounters import scenario_file
 
 ROOT = Path(__file__).parents[1]
@@ -76,3 +78,74 @@ def test_each_library_exports_documented_names(room):
             assert public.__doc__, f"{room}.{name}"
     with pytest.raises(AttributeError):
         module.no_such_name  # noqa: B018 - the access itself is tested
+
+
+def test_every_block_of_code_is_one_that_a_test_runs():
+    """TOML is loaded and Python run here, test_extending.py applies differences, and drawings are not run."""
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
+    kinds = {path.name: re.findall(r"^```(\w+)", path.read_text(), re.MULTILINE) for path in pages}
+    run = {"toml", "python", "diff", "mermaid"}
+    assert not {name: found for name, found in kinds.items() if set(found) - run}
+    assert {name for name, found in kinds.items() if "diff" in found} == {"extending.md"}
+    assert {name for name, found in kinds.items() if "python" in found} == {
+        "install.md",
+        "library.md",
+        "plug-ins.md",
+    }
+
+
+def test_the_classes_of_the_page_on_plug_ins_can_be_written_so():
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "plug-ins.md").read_text(), re.DOTALL)
+    assert len(blocks) == 3
+    names: dict[str, object] = {"SET_ACTIONS": SET_ACTIONS}
+    for block in blocks:
+        exec(block, names)
+    assert {"Sidestep", "Quiet", "TestUdp"} <= set(names)
+
+
+def test_every_page_is_in_the_navigation_of_the_site_once():
+    navigation = (ROOT / "mkdocs.yml").read_text().partition("\nnav:\n")[2]
+    named = re.findall(r"- (\S+\.md)$", navigation, re.MULTILINE)
+    assert len(named) == len(set(named))
+    pages = {path.name for path in (ROOT / "docs").glob("*.md")}
+    assert pages == {name for name in named if (ROOT / "docs" / name).exists()}
+
+
+@pytest.fixture(scope="module")
+def reference():
+    """The generated pages of the reference."""
+    return runpy.run_path(str(ROOT / "docs" / "site" / "reference.py"))
+
+
+def test_the_reference_has_every_key_of_the_example_configuration(reference):
+    page = reference["configuration"]()
+    text = (ROOT / "config" / "companion.toml").read_text()
+    keys = set(re.findall(r"^(?:# )?([a-z_0-9]+) = ", text, re.MULTILINE))
+    assert len(keys) > 80
+    for key in keys:
+        assert f"| `{key}` |" in page, key
+    for section in re.findall(r"^(?:# )?(\[+[a-z_]+\]+)", text, re.MULTILINE):
+        assert f"## {section}" in page, section
+    assert "any value" not in page.replace("table of any value", "")
+
+
+def test_the_reference_has_ranges_and_defaults(reference):
+    page = reference["configuration"]()
+    assert "| `wait_s` | number, above 0, at most 600 | `10.0` | How long to wait" in page
+    assert '| `use` | `"fly"`, `"guard"`, `"watch"` | `"watch"` |' in page
+    assert "| `uas_id` | text (1 to 40) | must be given |" in page
+
+
+def test_the_reference_has_every_public_name(reference):
+    pages = reference["public_names"]()
+    for name, module in reference["ROOM_PAGES"].items():
+        for public in importlib.import_module(module).__all__:
+            assert f"::: {module}.{public}\n" in pages[name]
+
+
+def test_the_reference_has_the_messages(reference):
+    page = reference["messages"]()
+    assert "| GLOBAL_POSITION_INT (33) | 10/s |" in page
+    assert "SET_POSITION_TARGET_LOCAL_NED (84)" in page
+    assert "| `DMUCA: this flight is not recorded` |" in page
+    assert len(reference["pilot_texts"]()) > 20

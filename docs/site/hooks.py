@@ -1,4 +1,4 @@
-"""What the site has beside the pages of docs/: the start page, the reference, and the files that pages link to.
+"""What the site has beside the pages of docs/: start page, reference, and files that pages link to.
 
 mkdocs calls these functions (`hooks` in mkdocs.yml).
 """
@@ -33,9 +33,23 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     files.append(File.generated(config, "reference/messages.md", content=reference.messages()))
     for name, page in reference.public_names().items():
         files.append(File.generated(config, f"reference/{name}.md", content=page))
+    for path in sorted((ROOT / "docs" / "examples" / "notebooks").glob("*.py")):
+        files.append(File.generated(config, f"notebooks/{path.stem}.md", content=notebook(path.read_text())))
     for source in sorted(_linked()):
         files.append(File.generated(config, f"files/{source}", content=(ROOT / source).read_text()))
     return files
+
+
+def notebook(text: str) -> str:
+    """A notebook in the percent format as a page: its text, and its code in blocks."""
+    _, *parts = re.split(r"^# %%(.*)\n", text, flags=re.MULTILINE)
+    cells = []
+    for kind, content in zip(parts[::2], parts[1::2], strict=True):
+        if "[markdown]" in kind:
+            cells.append(re.sub(r"^# ?", "", content, flags=re.MULTILINE))
+        else:
+            cells.append(f"```python\n{content.strip()}\n```\n")
+    return "\n".join(cells)
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:

@@ -49,9 +49,9 @@ def configuration() -> str:
     """The page of all keys of a configuration file and of the files that it names."""
     parts = [
         "# Configuration keys",
-        "Made from the code. `config/companion.toml` shows the same keys in one file, and `companion init` writes "
-        "such a file. A key without a default must be given. An unknown key is refused, and so is a value "
-        "outside the range.",
+        "Made from the code. `config/companion.toml` shows the same keys in one file, and `companion init` "
+        "writes such a file. A key without a default must be given. An unknown key is refused, and so is a "
+        "value outside the range.",
     ]
     for field in _struct(Config).fields:
         if field.encode_name not in _LOADED:
@@ -133,7 +133,7 @@ def _default(field: types.Field) -> str:
     value: Any = field.default
     if value is NODEFAULT:
         value = field.default_factory() if callable(field.default_factory) else None
-    if value is None or isinstance(value, tuple | dict | list) and not value:
+    if value is None or (isinstance(value, tuple | dict | list) and not value):
         return "none"
     if hasattr(value, "__struct_fields__"):
         return "its own defaults"
@@ -207,7 +207,7 @@ def public_names() -> dict[str, str]:
 def messages() -> str:
     """The page of MAVLink messages and of the texts that the pilot may read."""
     read = [
-        f"| {_message(number)} | {_rate(number)} | {_cell(_flat(inspect.getdoc(reader) or '').split('. ')[0])} |"
+        f"| {_message(number)} | {_rate(number)} | {_first_sentence(reader)} |"
         for number, reader in READERS.items()
     ]
     free = sorted(_message(number) for number in gate._FREE)
@@ -217,16 +217,16 @@ def messages() -> str:
             "# Messages",
             "Made from the code. [The gate](../gate.md) says which rules each message that leaves must keep.",
             "## Read from the vehicle",
-            "Beside HEARTBEAT, STATUSTEXT, TIMESYNC, RADIO_STATUS and the answers of the mission, parameter and "
-            "command protocols. The rate is the one that is asked for.",
+            "Beside HEARTBEAT, STATUSTEXT, TIMESYNC, RADIO_STATUS and the answers of the mission, parameter "
+            "and command protocols. The rate is the one that is asked for.",
             "\n".join(("| message | rate | what is read |", "|---|---|---|", *read)),
             "## Sent to the vehicle",
             "Always allowed, because they command nothing: " + ", ".join(free) + ".",
             "Only while the companion has authority, and only within the gate's bounds: "
             f"{_message(gate._SETPOINT)}, and {_message(gate._COMMAND)} for modes, speeds and message rates.",
             "## Texts for the pilot",
-            "STATUSTEXT messages, with the file of the code where each is written. A word in braces stands for "
-            "what was found in flight.",
+            "STATUSTEXT messages, with the file of the code where each is written. A word in braces stands "
+            "for what was found in flight.",
             "| text | where |\n|---|---|\n" + texts,
         )
     )
@@ -247,12 +247,13 @@ def pilot_texts() -> list[tuple[str, str]]:
     found: dict[str, str] = {}
     for path in sorted((ROOT / "companion").rglob("*.py")):
         tree = ast.parse(path.read_text())
-        whole = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+        formatted = [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)]
+        inside = {id(part) for node in formatted for part in node.values}
         for node in ast.walk(tree):
             text = None
             if isinstance(node, ast.JoinedStr):
                 text = "".join(_part(part) for part in node.values)
-            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in whole:
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in inside:
                 text = node.value
             if text and text.startswith(("DMUCA: ", "DMUCA ")):
                 found.setdefault(text, str(path.relative_to(ROOT)))
@@ -264,6 +265,10 @@ def _part(part: ast.expr) -> str:
         return str(part.value)
     assert isinstance(part, ast.FormattedValue)
     return f"{{{ast.unparse(part.value)}}}"
+
+
+def _first_sentence(described: object) -> str:
+    return _cell(_flat(inspect.getdoc(described) or "").split(". ")[0])
 
 
 def _flat(text: str) -> str:

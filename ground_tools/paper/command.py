@@ -6,6 +6,7 @@ To add a figure, write a module with `report` and `draw` and add an entry to `FI
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from typing import Final
 from rich.console import Console
 
 from companion.errors import ConfigError
+from companion.shipped import how_to_install
 from ground_tools.channel import options
 from ground_tools.common.progress import progress
 from ground_tools.paper import page
@@ -130,6 +132,9 @@ FIGURES: Final = (
     ),
 )
 
+_DRAWINGS: Final = ("framework", "radio-modes")
+"""Figures without numbers."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools paper`."""
@@ -185,7 +190,8 @@ def run(args: argparse.Namespace) -> int:
     """Run `ground-tools paper`. Returns 0.
 
     Raises:
-        ConfigError: an option is wrong, a picture cannot be written, or matplotlib is missing.
+        ConfigError: an option is wrong, a picture cannot be written, or matplotlib is missing for figures
+            that are more than numbers.
     """
     if args.sweep and args.figure != "dmuca":
         raise ConfigError(f"--sweep: only the figure dmuca has one, not {args.figure}")
@@ -201,6 +207,8 @@ def run(args: argparse.Namespace) -> int:
         _print(args, dmuca_sweep.NAME, swept, path, words)
         return 0
     chosen = [figure for figure in FIGURES if args.figure in (figure.name, "all")]
+    # The numbers of one figure need no picture.
+    drawn = args.figure in ("all", *_DRAWINGS) or importlib.util.find_spec("matplotlib") is not None
     study = Study(args.samples, args.seed)
     options.make_folder(args.out)
     steps = max(figure.sigmas for figure in chosen) * study.steps()
@@ -211,11 +219,12 @@ def run(args: argparse.Namespace) -> int:
         for figure in chosen:
             path = args.out / f"{figure.name}.png"
             # The picture comes first, so that a missing matplotlib is reported before the computation.
-            figure.draw(study, path)
+            if drawn:
+                figure.draw(study, path)
             found.append((figure, figure.report(study), path))
     words = _console(args)
     for figure, report, path in found:
-        _print(args, figure.name, report, path, words)
+        _print(args, figure.name, report, path if drawn else None, words)
     if args.figure == "all":
         command = f"ground-tools paper %s --samples {args.samples} --seed {args.seed}"
         sections = [page.Section(f.name, command % f.name, report, path) for f, report, path in found]
@@ -229,10 +238,11 @@ def _console(args: argparse.Namespace) -> Console:
     return words if words.is_terminal else Console(stderr=args.json, width=_PIPED_WIDTH)
 
 
-def _print(args: argparse.Namespace, name: str, report: Report, path: Path, words: Console) -> None:
+def _print(args: argparse.Namespace, name: str, report: Report, path: Path | None, words: Console) -> None:
     if args.json:
         for row in json_rows(name, report):
             print(json.dumps(row, allow_nan=False))
     else:
         show(report, words)
-    words.print(f"wrote {path}", soft_wrap=True, highlight=False)
+    done = f"no picture: {how_to_install('matplotlib', 'inspect')}" if path is None else f"wrote {path}"
+    words.print(done, soft_wrap=True, highlight=False, markup=False)

@@ -22,7 +22,8 @@ def script():
     """The page as a program for bash: what is saved, and what is typed."""
     lines = ["set -e"]
     for name, content, commands in PARTS:
-        lines.append(f"cat >{name} <<'END'\n{content}END" if name else re.sub("^    ", "", commands, flags=re.M))
+        typed = re.sub("^    ", "", commands, flags=re.MULTILINE)
+        lines.append(f"cat >{name} <<'END'\n{content}END" if name else typed)
     # A background job that was stopped on purpose is no error.
     return "\n".join(lines).replace("\nwait\n", "\nwait || true\n")
 

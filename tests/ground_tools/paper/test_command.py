@@ -168,3 +168,14 @@ def test_no_folder_and_no_matplotlib(tmp_path, capsys, monkeypatch):
     # At once: a hundred thousand environments would take minutes.
     assert cli.main(["paper", "all", "--samples", "100000", "--out", str(tmp_path / "new")]) == 2
     assert ".[inspect]" in capsys.readouterr().err
+
+
+def test_the_numbers_of_one_figure_need_no_matplotlib(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert cli.main(["paper", "delay-rate", "--samples", "3", "--json", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr()
+    assert {json.loads(line)["figure"] for line in printed.out.splitlines()} == {"delay-rate"}
+    assert "no picture: matplotlib is not installed" in printed.err
+    assert list(tmp_path.iterdir()) == []
+    assert cli.main(["paper", "framework", "--out", str(tmp_path)]) == 2
+    assert "matplotlib is not installed" in capsys.readouterr().err
