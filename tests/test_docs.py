@@ -149,3 +149,24 @@ def test_the_reference_has_the_messages(reference):
     assert "SET_POSITION_TARGET_LOCAL_NED (84)" in page
     assert "| `DMUCA: this flight is not recorded` |" in page
     assert len(reference["pilot_texts"]()) > 20
+
+
+def test_the_figures_of_the_readme_are_those_of_the_table_of_peers():
+    """Sums and ranges over the ten kinds of encounters, the first rows of the table."""
+    lines = iter((ROOT / "docs" / "peers.md").read_text().partition("## Encounters\n")[2].splitlines())
+    heads = next(line for line in lines if line.startswith("| encounter |")).strip("| ").split(" | ")
+    next(lines)
+    rows = [next(lines).strip("| ").split(" | ") for _ in range(10)]
+    readme = (ROOT / "README.md").read_text()
+    for law, words in (
+        ("none", "none"),
+        ("fly-away", "ArduPilot's"),
+        ("paper", "the published"),
+        ("dmuca", "this"),
+    ):
+        column = [row[heads.index(law)].split(" / ") for row in rows]
+        deviations = [float(entry[2]) for entry in column]
+        found = re.search(rf"^\| {words}.* \| ([\d,]+) \| (.*?) ?\|$", readme, re.MULTILINE)
+        assert int(found[1].replace(",", "")) == sum(int(entry[0]) for entry in column)
+        if law != "none":
+            assert found[2] == f"{min(deviations):.0f} to {max(deviations):.0f} m"
