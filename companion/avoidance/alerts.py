@@ -165,7 +165,8 @@ class Alerts:
         """Judge every neighbour once. Returns the messages to send and the log entries.
 
         Args:
-            position, velocity: own position (m) and velocity (m/s), NED.
+            position: own position (m), NED.
+            velocity: own velocity (m/s), NED.
             result: the law's last decision; None while the law does not run.
         """
         views = {} if result is None else {(view.adsb, view.track_id): view for view in result.tracks}
