@@ -34,4 +34,4 @@ sed -e "s/@VERSION@/$version/" -e "s/@ARCHITECTURE@/$(dpkg --print-architecture)
 for script in preinst postinst prerm postrm; do
     install -m 755 "$here/$script" "$root/DEBIAN/$script"
 done
-dpkg-deb --root-owner-group -Zgzip -z6 --build "$root" "$folder"
+dpkg-deb --root-owner-group -Zgzip -z1 --build "$root" "$folder"

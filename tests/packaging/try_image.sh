@@ -33,13 +33,13 @@ ended() {
 }
 trap ended EXIT
 set -- --file "$here/../../deploy/container/Dockerfile" --tag $name --platform "linux/$architecture"
+[ "$tool" = docker ] || set -- "$@" --format docker # the other format has no health check
 if [ -n "${BASE:-}" ]; then
     needs mmdebstrap
     fresh_system "$BASE-$architecture" "$WORK/base" python3-venv ca-certificates
     # shellcheck disable=SC2086
     tar -C "$WORK/base" -c . | $tool import -c "ENV PATH=/usr/bin:/bin:/usr/sbin" - $name-base
     set -- "$@" --from $name-base --network host
-    [ "$tool" = docker ] || set -- "$@" --format docker
 fi
 mkdir "$WORK/dist"
 cp "$wheel" "$WORK/dist/"

@@ -56,6 +56,8 @@ for law in ("none", "right-turn", "dmuca"):
     print(f"{law}: {lost} of {len(rows)} below {SEPARATION_M:.0f} m")
 
 # %% [markdown]
-#     none: 0
+#     none: 5 of 5 below 10 m
+#     right-turn: 0 of 5 below 10 m
+#     dmuca: 0 of 5 below 10 m
 #
 # Five encounters say nothing of a law: [safety.md](../safety.md) flies thousands, and says how.
