@@ -31,7 +31,7 @@ vehicle=$!
 sitl-mocks ether --listen 127.0.0.1:14640 >air.txt 2>&1 &
 air=$!
 trap 'kill $vehicle $air 2>/dev/null || true' EXIT
-sleep "${STARTED_S:-10}"
+until grep -q ready vehicle.txt && grep -q 'ether on' air.txt; do sleep 1; done
 tried '^check: ready' companion check --config companion.toml
 kill $vehicle $air
 wait $vehicle $air || true

@@ -25,6 +25,7 @@ sitl-mocks serve --firmware px4 --link udpout:127.0.0.1:14540 --airborne 50 >/tm
 vehicle=$!
 sitl-mocks ether --listen 127.0.0.1:14640 >/tmp/air.txt 2>&1 &
 air=$!
+until grep -q ready /tmp/vehicle.txt && grep -q 'ether on' /tmp/air.txt; do sleep 1; done
 # shellcheck disable=SC2046
 "$@" $(value ExecStart) >/tmp/companion.txt 2>&1 &
 companion=$!

@@ -56,7 +56,7 @@ user=$(run --rm --entrypoint id $name -u)
 [ "$user" != 0 ] || { echo "FAILED: it runs as root"; exit 1; }
 run --detach --name $name-vehicle --entrypoint sitl-mocks $name serve --firmware px4 --link udpout:127.0.0.1:14540 --airborne 50
 run --detach --name $name-air --entrypoint sitl-mocks $name ether --listen 127.0.0.1:14640
-sleep 10
+until $tool logs $name-vehicle 2>&1 | grep -q ready && $tool logs $name-air 2>&1 | grep -q 'ether on'; do sleep 1; done
 run --detach --name $name $name
 tries=0
 until $tool exec $name companion status --once; do

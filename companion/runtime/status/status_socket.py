@@ -118,12 +118,12 @@ class Status(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def folders(environ: Mapping[str, str]) -> list[Path]:
-    """Candidate folders of the sockets, in order of preference: systemd's RuntimeDirectory=, the user's
-    runtime folder, the system's. The first usable one is used."""
+    """Candidate folders of the sockets, each once, in order of preference: systemd's RuntimeDirectory=, the
+    user's runtime folder, the system's. The first usable one is used."""
     found = [Path(name) for name in environ.get("RUNTIME_DIRECTORY", "").split(":") if name]
     if environ.get("XDG_RUNTIME_DIR"):
         found.append(Path(environ["XDG_RUNTIME_DIR"]) / _FOLDER)
-    return [*found, Path("/run") / _FOLDER]
+    return list(dict.fromkeys([*found, Path("/run") / _FOLDER]))
 
 
 class StatusServer:

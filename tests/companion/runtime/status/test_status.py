@@ -165,6 +165,8 @@ def test_the_first_folder_that_can_be_used_is(tmp_path):
     assert server.path == tmp_path / "dmuca" / "a.sock"
     server.close()
     assert [str(path) for path in folders({})] == ["/run/dmuca"]
+    # As the service has it. A folder named twice would make one companion look like two.
+    assert [str(path) for path in folders({"RUNTIME_DIRECTORY": "/run/dmuca"})] == ["/run/dmuca"]
 
 
 def test_one_companion_is_found_and_of_several_one_must_be_named(tmp_path, monkeypatch):
