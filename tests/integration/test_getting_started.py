@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
@@ -72,21 +73,23 @@ def test_two_aircraft_meet_and_are_kept_apart(tmp_path, programs):
         "PYTHONPATH": str(ROOT),
         "HOME": str(tmp_path),
     }
-    process = subprocess.Popen(
-        ["bash", "-c", text],
-        cwd=tmp_path,
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
-    try:
-        output, _ = process.communicate(timeout=500.0)
-    finally:
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
+    log = tmp_path / "output.txt"
+    with log.open("w") as file:  # a pipe would stay open for as long as anything in the background runs
+        process = subprocess.Popen(
+            ["bash", "-c", text],
+            cwd=tmp_path,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        try:
+            process.wait(500.0)
+        finally:
+            with contextlib.suppress(ProcessLookupError):  # whatever the page left running
+                os.killpg(process.pid, signal.SIGKILL)
+    output = log.read_text()
     assert process.returncode == 0, output
     folder = tmp_path / "first-flight"
     for name in ("south", "north"):
