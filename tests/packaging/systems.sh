@@ -12,8 +12,8 @@ skip() {
 }
 
 needs() {
-    for tool in "$@"; do
-        command -v "$tool" >/dev/null || skip "$tool is not installed"
+    for program in "$@"; do
+        command -v "$program" >/dev/null || skip "$program is not installed"
     done
 }
 
