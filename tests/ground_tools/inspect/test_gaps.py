@@ -107,8 +107,8 @@ def test_a_ros_bag(flight: tuple[Run, Flown], tmp_path: Path):
 def test_kml(flight: tuple[Run, Flown], tmp_path: Path):
     run, ways = flight
     kml.write(run, ways, [], tmp_path / "x.kml")
-    several = ET.parse(tmp_path / "x.kml").getroot().iter(f"{{{GX}}}MultiTrack")
-    (several,) = several
+    found = ET.parse(tmp_path / "x.kml").getroot().iter(f"{{{GX}}}MultiTrack")
+    (several,) = found
     assert several.findtext(f"{{{GX}}}interpolate") == "0"
     pieces = []
     for track in several.iter(f"{{{GX}}}Track"):
