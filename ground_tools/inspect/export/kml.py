@@ -1,6 +1,7 @@
 """Writes a run as KML, which Google Earth plays on its time slider.
 
-Every aircraft is a `gx:Track` of times and positions (longitude, latitude, metres above mean sea level).
+Every aircraft is a `gx:Track` of times and positions (longitude, latitude, metres above mean sea level), or
+a `gx:MultiTrack` of several where positions are missing in between, so that no leg is drawn over the gap.
 Every pair's closest approach is a placemark. The structure follows OGC KML 2.2 (12-007r2) and Google's
 extension namespace.
 """
@@ -15,7 +16,7 @@ import numpy as np
 from companion.arrays import Floats
 from companion.errors import ConfigError
 from ground_tools.inspect.export.tables import iso, to_geodetic
-from ground_tools.inspect.read.flown import Flown, Separation, at
+from ground_tools.inspect.read.flown import Flown, Separation, at, gap_s, unbroken
 from ground_tools.inspect.read.flown import Path as FlownPath
 from ground_tools.inspect.read.read_run import Run
 from ground_tools.inspect.viewer.palette import colour
@@ -77,13 +78,18 @@ def _track(folder: ET.Element, path: FlownPath, style: str, ways: Flown) -> None
     mark = _add(folder, "Placemark")
     _add(mark, "name", path.name)
     _add(mark, "styleUrl", style)
-    track = _add(mark, "Track", namespace=GX)
-    _add(track, "altitudeMode", "absolute")
-    kept = _thinned(path.time_s)
-    for time_s in path.time_s[kept]:
-        _add(track, "when", iso(float(time_s) + (ways.utc_at_zero_s or 0.0)))
-    for lat, lon, alt in to_geodetic(path.position_ned_m[kept], ways.origin):
-        _add(track, "coord", f"{lon:.7f} {lat:.7f} {alt:.2f}", GX)
+    spans = unbroken(path.time_s, gap_s(path.time_s))
+    if len(spans) > 1:
+        mark = _add(mark, "MultiTrack", namespace=GX)
+        _add(mark, "interpolate", "0", GX)
+    for span in spans:
+        track = _add(mark, "Track", namespace=GX)
+        _add(track, "altitudeMode", "absolute")
+        kept = _thinned(path.time_s[span])
+        for time_s in path.time_s[span][kept]:
+            _add(track, "when", iso(float(time_s) + (ways.utc_at_zero_s or 0.0)))
+        for lat, lon, alt in to_geodetic(path.position_ned_m[span][kept], ways.origin):
+            _add(track, "coord", f"{lon:.7f} {lat:.7f} {alt:.2f}", GX)
 
 
 def _approach(folder: ET.Element, pair: Separation, ways: Flown) -> None:

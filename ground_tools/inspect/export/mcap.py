@@ -114,16 +114,19 @@ def _scene(run: Run, ways: Flown, names: topics.Topics) -> Iterator[Message]:
         red, green, blue = (part / 255.0 for part in colour(index))
         ends = {"r": red, "g": green, "b": blue}
         pose = {"position": _vector((0.0, 0.0, 0.0)), "orientation": _NO_ROTATION}
-        line = {
-            "type": 0,
-            "pose": pose,
-            "thickness": _LINE_M,
-            "scale_invariant": False,
-            "points": [_vector(point) for point in topics.line(path.position_ned_m).tolist()],
-            "color": {**ends, "a": _OPAQUE},
-            "colors": [],
-            "indices": [],
-        }
+        lines = [
+            {
+                "type": 0,
+                "pose": pose,
+                "thickness": _LINE_M,
+                "scale_invariant": False,
+                "points": [_vector(point) for point in points.tolist()],
+                "color": {**ends, "a": _OPAQUE},
+                "colors": [],
+                "indices": [],
+            }
+            for _, points in topics.lines(path)
+        ]
         diameter_m = 2.0 * path.radius_m
         sphere = {
             "pose": pose,
@@ -140,7 +143,7 @@ def _scene(run: Run, ways: Flown, names: topics.Topics) -> Iterator[Message]:
             "text": path.name,
         }
         entities = [
-            _entity(f"{name} path", topics.MAP, lines=[line]),
+            _entity(f"{name} path", topics.MAP, lines=lines),
             _entity(f"{name} volume", name, spheres=[sphere], texts=[label]),
         ]
         start_s = float(path.time_s[0])

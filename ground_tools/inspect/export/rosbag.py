@@ -116,11 +116,12 @@ class _Messages:
         yield "/tf", kind, fix.time_s, types[kind](transforms=[transform])
 
     def _paths(self, ways: Flown, names: topics.Topics) -> Iterator[Message]:
-        """Each flown path as a whole, at its beginning."""
+        """Each flown path as a whole, at its beginning; where positions are missing, one message for the time
+        up to the gap and one for the time after it."""
         types, kind = self._types, "nav_msgs/msg/Path"
         level = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
-        for path in ways.paths:
-            start_s = float(path.time_s[0])
+        lines = ((path.name, *line) for path in ways.paths for line in topics.lines(path))
+        for name, start_s, points in lines:
             header = self._header(start_s, topics.MAP)
             poses = [
                 types["geometry_msgs/msg/PoseStamped"](
@@ -129,9 +130,9 @@ class _Messages:
                         position=types["geometry_msgs/msg/Point"](x=x, y=y, z=z), orientation=level
                     ),
                 )
-                for x, y, z in topics.line(path.position_ned_m).tolist()
+                for x, y, z in points.tolist()
             ]
-            topic = f"/{names.frame(path.name)}/path"
+            topic = f"/{names.frame(name)}/path"
             yield topic, kind, start_s, types[kind](header=header, poses=poses)
 
     def _pose(self, fix: topics.Fix, rotation: Any) -> Any:

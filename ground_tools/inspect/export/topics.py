@@ -19,7 +19,7 @@ import numpy as np
 from companion.arrays import Floats
 from companion.geometry import Vec3
 from ground_tools.inspect.export import tables
-from ground_tools.inspect.read.flown import Flown, Separation
+from ground_tools.inspect.read.flown import Flown, Path, Separation, gap_s, unbroken
 from ground_tools.inspect.read.read_run import Run
 from ground_tools.inspect.viewer.scene import Aircraft
 from ground_tools.inspect.viewer.watch import Watch
@@ -31,7 +31,7 @@ SLOWEST_MPS = 0.5
 SEPARATION_PERIOD_S = 0.2
 """Least time between two separations of a pair."""
 MOST_POINTS = 2000
-"""Most points of the line of a path."""
+"""Most points of the line of a path without gaps; each gap adds one at most."""
 PIECE = 2000
 """Number of steps that are turned into texts at once."""
 
@@ -169,7 +169,11 @@ def separations(pairs: list[Separation], topics: Topics) -> Iterator[Apart]:
                 yield Apart(topic, time_s, (pair.first, pair.second), distance_m, pair.required_m)
 
 
-def line(positions_ned_m: Floats) -> Floats:
-    """A path as at most `MOST_POINTS` points, (n, 3), in the local frame."""
-    kept = positions_ned_m[:: max(math.ceil(len(positions_ned_m) / MOST_POINTS), 1)]
-    return np.column_stack([kept[:, 1], kept[:, 0], -kept[:, 2]])
+def lines(path: Path) -> Iterator[tuple[float, Floats]]:
+    """Yield a path in the spans without gaps: the time at which each begins, and about `MOST_POINTS` points
+    in all, (n, 3), in the local frame."""
+    step = max(math.ceil(len(path.time_s) / (MOST_POINTS - 1)), 1)
+    for span in unbroken(path.time_s, gap_s(path.time_s)):
+        flown = path.position_ned_m[span]
+        kept = flown[np.unique([*range(0, len(flown), step), len(flown) - 1])]
+        yield float(path.time_s[span.start]), np.column_stack([kept[:, 1], kept[:, 0], -kept[:, 2]])

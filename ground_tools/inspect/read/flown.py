@@ -35,6 +35,8 @@ PART_S = 600.0
 """Length of the parts in which a pair's separation is computed."""
 MAX_GAP_S = 2.0
 """If two own positions are farther apart in time than this, the position in between is unknown."""
+_SPARSE = 3.0
+"""Where samples are rare, only a silence of this many of their usual distances is a gap."""
 MAX_ERROR_M = 200.0
 """True positions farther than this from the aircraft's own positions belong to another frame or flight."""
 SAME_M = 2.0
@@ -381,6 +383,18 @@ def _closest(time_s: Floats, relative_m: Floats) -> tuple[float, float]:
     distance = np.linalg.norm(places, axis=1)
     closest = int(np.nanargmin(distance))
     return float(distance[closest]), float(times[closest])
+
+
+def gap_s(time_s: Floats) -> float:
+    """Return the longest time between two of these samples over which a line between them may be drawn."""
+    return max(MAX_GAP_S, _SPARSE * float(np.median(np.diff(time_s)))) if len(time_s) > 1 else MAX_GAP_S
+
+
+def unbroken(time_s: Floats, longest_s: float) -> list[slice]:
+    """Return the spans of samples (n,), in their order, within which none is more than `longest_s` after the
+    one before it."""
+    ends = (np.flatnonzero(np.diff(time_s) > longest_s) + 1).tolist()
+    return [slice(first, end) for first, end in itertools.pairwise((0, *ends, len(time_s)))]
 
 
 def at(path: Path, time_s: Floats) -> Floats:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from companion.arrays import Floats
 from ground_tools.common.figure import styled
 from ground_tools.inspect.explain.manoeuvres import Manoeuvre
-from ground_tools.inspect.read.flown import MAX_GAP_S, Flown, Separation, crossing, fixes_of, least_of
+from ground_tools.inspect.read.flown import Flown, Separation, crossing, fixes_of, gap_s, least_of, unbroken
 from ground_tools.inspect.read.heights import spikes
 from ground_tools.inspect.read.read_run import Run
 from ground_tools.inspect.report.terminal import plain
@@ -29,8 +29,6 @@ MOST_LINES = 12
 drawn."""
 MOST_POINTS = 1200
 """Most points of one line. More cannot be distinguished on paper."""
-_SPARSE = 3.0
-"""Where samples are rare, only a silence of this many of their usual distances is a gap."""
 _OVER = 5
 """Number of broadcasts over which a rate is computed."""
 _LEAST_SPAN_M = 10.0
@@ -87,11 +85,10 @@ def open_at_gaps(time: Floats, *rows: Floats, extreme: bool = False) -> tuple[Fl
     Returns:
         The times and the values of the line to draw.
     """
-    apart = np.diff(time)
-    gap_s = max(MAX_GAP_S, _SPARSE * float(np.median(apart))) if len(apart) else MAX_GAP_S
     step = max(len(time) // MOST_POINTS, 1)
     kept: list[NDArray[np.intp]] = []
-    for part in np.split(np.arange(len(time)), np.flatnonzero(apart > gap_s) + 1):
+    every = np.arange(len(time))
+    for part in (every[span] for span in unbroken(time, gap_s(time))):
         blocks = [part[at : at + step] for at in range(0, len(part), step)]
         chosen = [block[np.argmax(rows[0][block])] if extreme else block[0] for block in blocks]
         kept += [np.unique([*chosen, *part[-1:]]), np.array([-1])]

@@ -23,8 +23,8 @@ from companion.errors import ConfigError, PeerDataError
 from companion.event_record import Header, Step
 from ground_tools.inspect.explain.manoeuvres import Starts
 from ground_tools.inspect.read.facts import Facts, Gatherer, gather
+from ground_tools.inspect.read.flown import MAX_GAP_S, from_frame, to_ned
 from ground_tools.inspect.read.flown import Path as Flight
-from ground_tools.inspect.read.flown import from_frame, to_ned
 from ground_tools.inspect.read.read_run import NOT_REGULAR, is_regular
 from ground_tools.inspect.viewer.blueprint import blueprint
 from ground_tools.inspect.viewer.drawing import rerun
@@ -247,7 +247,7 @@ class Bridge:
         joined = np.vstack([self._last.get(name, fixes[:0]), fixes])
         self._last[name] = joined[-1:]
         ned = to_ned(joined[:, 1:4], self._scene.origin)
-        self._writer.flown(Flight(name, joined[:, 0] + offset_s, ned, 0.0), joined[:, 1:3])
+        self._writer.flown(Flight(name, joined[:, 0] + offset_s, ned, 0.0), joined[:, 1:3], MAX_GAP_S)
 
     def close(self) -> None:
         """Close the files and send the rest, without waiting for a viewer that hangs."""

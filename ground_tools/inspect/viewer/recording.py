@@ -32,6 +32,7 @@ from ground_tools.inspect.read.flown import (
     closest,
     crossing,
     from_frame,
+    gap_s,
     place,
     placed,
     separations,
@@ -167,10 +168,11 @@ def _write_run(stream: Any, shown: _Shown) -> None:
         writer.say(start, problem)
     # Write first what takes the most memory at once. The pieces of steps can then reuse that memory.
     for path in ways.paths:
+        longest_s = gap_s(path.time_s)
         for part in _pieces(path, scene):
             n, e, d = part.position_ned_m.T
             geodetic = pymap3d.ned2geodetic(n, e, d, *scene.origin)
-            writer.flown(part, np.column_stack(geodetic[:2]))
+            writer.flown(part, np.column_stack(geodetic[:2]), longest_s)
             release(path.position_ned_m)
     _write_distances(writer, shown)
     for record in shown.run.aircraft:

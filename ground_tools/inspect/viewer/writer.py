@@ -21,7 +21,7 @@ from companion.arrays import Floats
 from companion.avoidance.law import VERTICAL_SCALE, separation_m
 from companion.event_record import Step
 from companion.events import TrackView
-from ground_tools.inspect.read.flown import Path, Separation, least_in_bins, least_of
+from ground_tools.inspect.read.flown import Path, Separation, least_in_bins, least_of, unbroken
 from ground_tools.inspect.viewer.drawing import Drawing, rerun
 from ground_tools.inspect.viewer.palette import (
     ALERTS,
@@ -112,22 +112,25 @@ class Writer:
         self.notes(name, [note])
         self.mark(name, [note], where_ned_m.reshape(1, 3))
 
-    def flown(self, path: Path, latitudes: Floats) -> None:
+    def flown(self, path: Path, latitudes: Floats, longest_s: float) -> None:
         """Write the next part of the path that an aircraft flew.
 
         Args:
             path: Samples of one piece of the time line, plus the first sample after it.
             latitudes: (n, 2) lat_deg, lon_deg of its samples.
+            longest_s: No line is drawn between two samples that are farther apart in time.
         """
         rr, rgb = self._rr, self._aircraft[path.name].rgb
         when = path.time_s[:1]
-        strip = rr.LineStrips3D.columns(strips=[enu(path.position_ned_m)])
+        spans = unbroken(path.time_s, longest_s)
+        strip = rr.LineStrips3D.columns(strips=[enu(path.position_ned_m[span]) for span in spans])
         entity = self._draw.entity("aircraft", path.name, "flown")
         self._draw.style(entity, rr.LineStrips3D.from_fields(colors=[rgb], radii=[-1.5]))
-        self._draw.send(entity, when, strip, clip=True)
+        self._draw.send(entity, when, strip.partition([len(spans)]), clip=True)
         entity = self._draw.entity("map", path.name, "flown")
         self._draw.style(entity, rr.GeoLineStrings.from_fields(colors=[rgb], radii=[-2.0]))
-        self._draw.send(entity, when, rr.GeoLineStrings.columns(line_strings=[latitudes]), clip=True)
+        strip = rr.GeoLineStrings.columns(line_strings=[latitudes[span] for span in spans])
+        self._draw.send(entity, when, strip.partition([len(spans)]), clip=True)
 
     def distances(self, pairs: Sequence[Separation], required_m: float) -> None:
         """Write the next part of every pair's distance, and of the smallest distance of any pair."""

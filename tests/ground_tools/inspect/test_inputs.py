@@ -260,6 +260,20 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path, kind: str) -> N
     assert "Errno" not in str(error.value)
 
 
+def test_a_folder_of_runs_names_the_newest(run_folder: Path, tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    for day in range(1, 8):
+        shutil.copytree(run_folder, runs / f"2026010{day}T000000Z-demo")
+    with pytest.raises(ConfigError) as refused:
+        read_run(runs)
+    words = str(refused.value)
+    assert "but 7 runs; name one of them; the newest: " in words
+    named = words.partition("the newest: ")[2].split(", ")
+    assert named[0] == str(runs / "20260107T000000Z-demo")
+    assert named == sorted(named, reverse=True)
+    assert read_run(Path(named[0])).aircraft
+
+
 def test_a_folder_that_may_not_be_listed_is_said() -> None:
     """As another user than root, to whom everything is open."""
     with tempfile.TemporaryDirectory() as made:

@@ -127,3 +127,22 @@ def test_piped_tables_cut_no_word(tmp_path):
     write(tmp_path, config, steps)
     shown = terminal.text(describe(read_run(tmp_path))).split()
     assert {name, "x" * 30, "y" * 30} <= set(shown)
+
+
+@pytest.mark.parametrize(
+    ("missing_percent", "silences", "words"),
+    [(63.2, 0, "thinned log?"), (63.2, 2, ""), (3.0, 0, "")],
+)
+def test_what_a_thinned_log_lacks_is_not_told_as_loss(tmp_path, missing_percent, silences, words):
+    write(tmp_path, ONE, [step(0.0), step(1.0)])
+    figures = describe(read_run(tmp_path))
+    figures["aircraft"][0]["link"] = [
+        {
+            "component": "1/1", "frames": 100, "missing": 172, "missing_percent": missing_percent,
+            "silences": silences, "longest_silence_s": 4.0 if silences else None,
+        }
+    ]  # fmt: skip
+    sections = dict(terminal.sections(figures))
+    (row,) = sections["Telemetry link (absent: gaps in the sequence numbers, lost or not logged)"][1:]
+    assert row[-1] == words
+    assert not any("172" in line for line in headline.verdicts(figures))
