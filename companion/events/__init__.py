@@ -51,7 +51,6 @@ from companion.events.traffic import (
 )
 from companion.events.vehicle import (
     SIGMA_UNKNOWN_M,
-    AirPressure,
     ClockRead,
     CurrentMode,
     EstimatorState,
@@ -73,9 +72,9 @@ from companion.events.vehicle import (
 )
 
 __all__ = [
-    "SIGMA_UNKNOWN_M", "AdsbVehicle", "AirPressure", "AlertChanged", "AllowanceSpent", "AnyCommand",
-    "AnyEvent", "ArmStatus", "AuthorityChanged", "Broadcast", "BroadcastChanged", "ClockRead", "Command",
-    "CurrentMode", "Decision", "DownloadFence", "DownloadMission", "EstimatorState", "Event", "FenceArea",
+    "SIGMA_UNKNOWN_M", "AdsbVehicle", "AlertChanged", "AllowanceSpent", "AnyCommand", "AnyEvent",
+    "ArmStatus", "AuthorityChanged", "Broadcast", "BroadcastChanged", "ClockRead", "Command", "CurrentMode",
+    "Decision", "DownloadFence", "DownloadMission", "EstimatorState", "Event", "FenceArea",
     "FenceDownloaded", "FenceRefused", "Firmware", "FlightMode", "GateAuthority", "GateRefused",
     "GlobalPosition", "GnssFix", "Heartbeat", "InputBehind", "Landed", "LandedState", "LocalPosition",
     "MissionCurrent", "MissionDownloaded", "MissionItem", "MissionRefused", "ModeRefused",
@@ -87,7 +86,7 @@ __all__ = [
 
 AnyEvent = (
     Heartbeat | CurrentMode | TwoAutopilots | GlobalPosition | LocalPosition | GnssFix | VehicleTime
-    | AirPressure | ClockRead | LandedState | EstimatorState | RcChannels | ModeRefused | MissionDownloaded
+    | ClockRead | LandedState | EstimatorState | RcChannels | ModeRefused | MissionDownloaded
     | MissionRefused | MissionCurrent | FenceDownloaded | FenceRefused | VehicleParameters | AdsbVehicle
     | VehicleText | InputBehind | GateRefused | GateAuthority | RemoteIdHeard | RadioState | OperatorData
     | RemoteIdModule | Settings

@@ -12,7 +12,7 @@ from companion.config import AvoidanceConfig
 from companion.events import AlertChanged, Say, Threat, TrackView
 
 PERIOD_S = 0.2
-CONFIG = AvoidanceConfig(crewed_horizontal_m=150.0, crewed_vertical_m=50.0)
+CONFIG = AvoidanceConfig()
 """Horizon 20 s, separation 10 m (crewed the ellipsoid around 150 m and 50 m)."""
 CREWED_M = math.sqrt(2.0) * 150.0
 OWN, SPEED = (0.0, 0.0, -50.0), (10.0, 0.0, 0.0)
