@@ -123,7 +123,7 @@ class MockVehicle:
             "PARAM_SET": self._answer_param,
             "REQUEST_DATA_STREAM": self._take_data_stream,
             "COLLISION": self._note_collision,
-            "ADSB_VEHICLE": lambda message, *_: self.traffic.take(message, used=self._uses_traffic),
+            "ADSB_VEHICLE": self._take_traffic,
             "HEARTBEAT": self._note_heartbeat,
         }
 
@@ -426,6 +426,10 @@ class MockVehicle:
 
     def _note_heartbeat(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         self.troubles.hear(message, now_s)
+
+    def _take_traffic(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+        """Take a report of another component."""
+        self.traffic.take(message, used=self._uses_traffic)
 
     def _note_collision(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         self.collisions.append((now_s, message))
