@@ -8,6 +8,7 @@ import re
 import signal
 import socket
 import subprocess
+import tempfile
 import sys
 from pathlib import Path
 
@@ -63,7 +64,14 @@ def test_the_page_has_what_is_followed():
     assert all(port in PAGE for port in PORTS)
 
 
-def test_two_aircraft_meet_and_are_kept_apart(tmp_path, programs):
+@pytest.fixture
+def short_path():
+    """A folder with a short path: that of a socket in it has at most 107 bytes."""
+    with tempfile.TemporaryDirectory(prefix="dmuca-") as folder:
+        yield Path(folder)
+
+
+def test_two_aircraft_meet_and_are_kept_apart(short_path, programs):
     pytest.importorskip("matplotlib", reason="the report needs the extra inspect")
     text = script()
     for port, free in zip(PORTS, free_ports(len(PORTS)), strict=True):
@@ -71,13 +79,13 @@ def test_two_aircraft_meet_and_are_kept_apart(tmp_path, programs):
     environment = os.environ | {
         "PATH": f"{programs}:{os.environ['PATH']}",
         "PYTHONPATH": str(ROOT),
-        "HOME": str(tmp_path),
+        "HOME": str(short_path),
     }
-    log = tmp_path / "output.txt"
+    log = short_path / "output.txt"
     with log.open("w") as file:  # a pipe would stay open for as long as anything in the background runs
         process = subprocess.Popen(
             ["bash", "-c", text],
-            cwd=tmp_path,
+            cwd=short_path,
             env=environment,
             stdin=subprocess.DEVNULL,
             stdout=file,
@@ -91,7 +99,7 @@ def test_two_aircraft_meet_and_are_kept_apart(tmp_path, programs):
                 os.killpg(process.pid, signal.SIGKILL)
     output = log.read_text()
     assert process.returncode == 0, output
-    folder = tmp_path / "first-flight"
+    folder = short_path / "first-flight"
     for name in ("south", "north"):
         log = (folder / f"{name}.log").read_text()
         assert "guarding -> avoiding" in log, log

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.atmc import chooser
 from companion.atmc.actions import SET_ACTIONS, TRANSPORTS
 from companion.atmc.choice import Choice
 from companion.atmc.observation import (
@@ -251,6 +252,13 @@ def cross(made, seconds):
         made.step()
 
 
+@pytest.fixture
+def unguarded(monkeypatch):
+    """A policy may choose everything, as among many aircraft (`companion.atmc.audible`)."""
+    monkeypatch.setattr(chooser, "CROWD", 0)
+
+
+@pytest.mark.usefixtures("unguarded")
 def test_the_policy_is_told_what_is_on_the_air_now(fly, monkeypatch):
     made = fly(policy_file())
     mind = made.core.chooser._mind
@@ -270,6 +278,7 @@ def test_the_policy_is_told_what_is_on_the_air_now(fly, monkeypatch):
     assert told == [None, *itertools.islice(itertools.cycle(wanted), len(told) - 1)]
 
 
+@pytest.mark.usefixtures("unguarded")
 def test_a_switch_has_its_price_in_flight(fly):
     """What changes with every neighbour when switching costs nothing stays when it costs much."""
     sets = []

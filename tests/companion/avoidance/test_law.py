@@ -174,7 +174,7 @@ def test_non_finite_neighbours_are_dropped_and_the_rest_is_kept() -> None:
         other((0, 0, 0), (0, math.inf, 0), name="c"),
         other((150, 0, -50), name="d", sigma_m=math.nan),
         other((150, 0, -50), name="e", age=math.nan),
-        other((150, 0, -50), name="f", age=15.1),
+        other((150, 0, -50), name="f", age=30.1),
         other((1e300, 0, -50), name="g"),
     ]
     alone, together = law().decide(situation(others=[good])), law().decide(situation(others=[*bad, good]))
