@@ -123,7 +123,6 @@ class MockVehicle:
             "PARAM_SET": self._answer_param,
             "REQUEST_DATA_STREAM": self._take_data_stream,
             "COLLISION": self._note_collision,
-            "ADSB_VEHICLE": self._take_traffic,
             "HEARTBEAT": self._note_heartbeat,
         }
 
@@ -269,6 +268,8 @@ class MockVehicle:
             return
         for frame, message in messages:
             kept = frame.message_id == _ADSB and self._uses_traffic
+            if kept:
+                self.traffic.take(message)
             if len(self._links) > 1 and self._manners.forwards and not kept:
                 self._links.forward(frame, message, link)
             system = getattr(message, "target_system", 0)
@@ -427,16 +428,11 @@ class MockVehicle:
     def _note_heartbeat(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         self.troubles.hear(message, now_s)
 
-    def _take_traffic(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
-        """Take a report of another component."""
-        self.traffic.take(message, used=self._uses_traffic)
-
     def _note_collision(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         self.collisions.append((now_s, message))
 
     def _answer_param(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
-        answer = self._params.answer(message, endpoint.params_due)
-        if answer is not None:
+        if (answer := self._params.answer(message, endpoint.params_due)) is not None:
             endpoint.send(answer)
 
     def _take_data_stream(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:

@@ -97,11 +97,10 @@ class Traffic:
         self._passed: dict[tuple[int, int], float] = {}
         """Link and ICAO address -> time of the report that was forwarded last."""
 
-    def take(self, message: MavlinkMessage, *, used: bool) -> None:
+    def take(self, message: MavlinkMessage) -> None:
         """Take a report of another component. ArduPilot uses it only with a receiver, PX4 always."""
-        if used:
-            self.taken.append(message)
-            self._taken += 1
+        self.taken.append(message)
+        self._taken += 1
 
     def _echo(self, link: int) -> list[MavlinkMessage]:
         new = min(self._taken - self._echoed.get(link, 0), len(self.taken))
