@@ -13,6 +13,7 @@ from companion.avoidance.law import Law, Neighbour, Situation, settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from ground_tools.campaign import flight, outcome, vehicles
+from ground_tools.campaign.cells import Cell, look
 from ground_tools.campaign.generators import APART_M, HEIGHT_M, MEETING_S, NAMES, draw
 from ground_tools.campaign.world import World
 
@@ -276,3 +277,13 @@ def test_floor_and_ceiling_hold():
     _, trace = fly(times, points, world, steps=600)
     assert -130.5 < trace[:, :, 2].min() < -128.0
     assert -72.0 < trace[:, :, 2].max() < -69.5
+
+
+def test_where_most_messages_are_lost_tracks_are_kept_by_their_gaps():
+    """Ages on which decisions are based: beyond the 15 s of a track without gaps, and up to 30 s."""
+    ages_s = look(Cell(generator="S2", aircraft=5, loss=0.8), 1).log.others[..., 6]
+    ages_s = ages_s[np.isfinite(ages_s)]
+    assert (ages_s > 15.0).sum() > 500
+    assert ages_s.max() <= 30.0
+    regular = look(Cell(generator="S2", aircraft=5), 1).log.others[..., 6]
+    assert regular[np.isfinite(regular)].max() <= 15.0
