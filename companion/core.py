@@ -219,7 +219,7 @@ class Companion:
             return
         here = own.position_ned_m(now_s)
         self.traffic.note_own(now_s, here, own.velocity_ned_mps)
-        self.adsb.note_own(now_s, here, own.velocity_ned_mps)
+        self.adsb.note_own(now_s, here, own.velocity_ned_mps, own.pressure_alt_m(now_s))
         self.traffic.hear_all(heard, now_s, own.utc_offset_s, own.frame, own.separation_m)
         for report in seen:
             self.adsb.hear(report, now_s, own.frame, own.separation_m)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from companion.autopilot.dialect import in_mode
 from companion.events import (
     SIGMA_UNKNOWN_M,
+    AirPressure,
     ClockRead,
     CurrentMode,
     EstimatorState,
@@ -34,6 +35,10 @@ from companion.geometry import LocalFrame, Vec3
 _HEARTBEAT_LOST_S = 2.5
 _GNSS_LOST_S = 3.0
 _LANDED_LOST_S = 3.0
+_PRESSURE_LOST_S = 5.0
+_MOST_WEATHER_M = 500.0
+"""Largest difference of pressure altitude and altitude that is believed; 60 hPa off the standard atmosphere.
+Weather reaches 300 m."""
 _GROUNDED_S, _GROUNDED_MESSAGES = 1.5, 3
 """An armed vehicle is believed to be on the ground after this many consecutive messages over this time."""
 _GROUNDED_HIGH_S = 10.0
@@ -149,6 +154,8 @@ class Ownship:
     """Last position of the aircraft on the ground."""
     separation_m: float | None = None
     """Height of the geoid above the ellipsoid (m), from the GNSS receiver's two altitudes."""
+    pressure_above_m: float | None = None
+    """Own pressure altitude minus altitude above mean sea level (m): the weather, and the errors of both."""
     frame: LocalFrame | None = None
     """Local NED frame: origin at the first position, altitude datum mean sea level. Kept while armed."""
     boot_to_utc_s: float | None = None
@@ -161,6 +168,7 @@ class Ownship:
     _grounded_s: float = -math.inf
     """Time of the first of these messages."""
     _gnss_s: float = -math.inf
+    _pressure_s: float = -math.inf
     _estimator_lost_s: float = -math.inf
     """Time of the last report that the estimator has no position; minus infinity if it has one again."""
     _velocity_boot_s: float = -math.inf
@@ -196,6 +204,8 @@ class Ownship:
                     separation_m = event.alt_ellipsoid_m - event.alt_msl_m
                     # A wrong separation would place every other aircraft far above or below us.
                     self.separation_m = separation_m if abs(separation_m) <= _MOST_SEPARATION_M else None
+            case AirPressure():
+                self._take_pressure(event, sent_s)
             case ClockRead():
                 self._clock.read(event)
             case LandedState():
@@ -211,6 +221,12 @@ class Ownship:
                     self.boot_to_utc_s = event.utc_s - event.time_boot_s
             case _:
                 pass
+
+    def _take_pressure(self, event: AirPressure, now_s: float) -> None:
+        if self.position is not None:
+            above_m = pressure_altitude_m(event.pressure_hpa) - self.position.alt_msl_m
+            self.pressure_above_m = above_m if abs(above_m) <= _MOST_WEATHER_M else None
+            self._pressure_s = now_s
 
     def _take_landed(self, landed: Landed, now_s: float) -> None:
         """Take in a landed state.
@@ -321,6 +337,14 @@ class Ownship:
         age = now_s - self.sample_s()
         return p[0] + age * v[0], p[1] + age * v[1], p[2] + age * v[2]
 
+    def pressure_alt_m(self, now_s: float) -> float | None:
+        """Own pressure altitude (m), as transponders send theirs; None while it is not known."""
+        if self.frame is None or self.position is None or self.pressure_above_m is None:
+            return None
+        if now_s - self._pressure_s > _PRESSURE_LOST_S:
+            return None
+        return self.frame.alt_m - self.position_ned_m(now_s)[2] + self.pressure_above_m
+
     def gnss_now(self, now_s: float) -> GnssFix | None:
         """Last report of the GNSS receiver; None if it is too old."""
         return self.gnss if now_s - self._gnss_s <= _GNSS_LOST_S else None
@@ -352,3 +376,8 @@ class Ownship:
         if now_s - self._upset_s < _UNTRUSTED_S:
             return self._upset
         return None
+
+
+def pressure_altitude_m(pressure_hpa: float) -> float:
+    """Altitude at which the standard atmosphere has a pressure (ICAO Doc 7488, below 11 km)."""
+    return float(44_330.77 * (1.0 - (pressure_hpa / 1013.25) ** 0.190263))

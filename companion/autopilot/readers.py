@@ -19,6 +19,7 @@ from companion.autopilot.wire import CURRENT_MODE
 from companion.errors import PeerDataError
 from companion.events import (
     AdsbVehicle,
+    AirPressure,
     CurrentMode,
     EstimatorState,
     Event,
@@ -43,6 +44,9 @@ MAX_SPEED_MPS = 327.0
 MAX_LOCAL_M = 1_000_000.0
 UTC_RANGE_S = (1_420_070_400.0, 4_102_444_800.0)
 """Years 2015 to 2100. An autopilot whose clock is outside this range does not know the time."""
+
+PRESSURE_RANGE_HPA = (300.0, 1100.0)
+"""Pressures from 9 km above to 700 m below sea level."""
 
 MAX_ICAO = 0xFF_FFFF
 """ICAO addresses have 24 bits."""
@@ -164,6 +168,18 @@ def gnss_fix(fields: Fields) -> GnssFix:
     )
 
 
+def air_pressure(fields: Fields) -> AirPressure:
+    """SCALED_PRESSURE, in the hectopascals of the sensor that both firmwares use first.
+
+    Raises:
+        PeerDataError: the pressure is that of no height at which a small aircraft flies.
+    """
+    pressure_hpa = fields[1]
+    if not PRESSURE_RANGE_HPA[0] <= pressure_hpa <= PRESSURE_RANGE_HPA[1]:
+        raise PeerDataError(f"absolute pressure {pressure_hpa} hPa is out of range")
+    return AirPressure(pressure_hpa=pressure_hpa)
+
+
 def vehicle_time(fields: Fields) -> VehicleTime:
     """SYSTEM_TIME."""
     unix_usec, boot_ms = fields
@@ -274,6 +290,7 @@ READERS: dict[int, Callable[[Fields], Event | None]] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: global_position,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: local_position,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: gnss_fix,
+    mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE: air_pressure,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: vehicle_time,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: landed_state,
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: mission_current,

@@ -102,6 +102,10 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """Allowance that it shares with tracks that appeared with it or sound like it; "": its own alone."""
     growth_down_mps: float = 0.0
     """How fast its height deviates from its predictions."""
+    turn_rps: float = 0.0
+    """Turn rate, positive to the right; for crewed traffic."""
+    sigma_down_m: float = 0.0
+    """Error of the difference of its height and ours, one standard deviation; for crewed traffic."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,7 +279,8 @@ class Law:
                 entries += n.velocity_ned_mps
                 entries += (
                     age_s if age_s > 0.0 else 0.0, n.sigma_m, n.sigma_mps, n.growth_mps, n.silent, n.share,
-                    n.vertical_known, n.crewed, n.growth_down_mps,
+                    n.vertical_known, n.crewed, n.growth_down_mps, n.turn_rps,
+                    n.sigma_down_m,
                 )  # fmt: skip
         if len(usable) > len(self._table):
             self._room(2 * len(usable))

@@ -40,7 +40,7 @@ def judge_containment(config: Config, found: Preflight) -> None:
     if not kind_of(config.avoidance.law).keeps_fence:
         text = f'avoidance.law = "{config.avoidance.law}" keeps only its heights'
         found.yellow("containment", text, 'set avoidance.law = "dmuca"')
-    if side_m < math.sqrt(2.0) * config.avoidance.crewed_horizontal_m:
+    if side_m < config.avoidance.crewed_horizontal_m:
         text = f"crewed_side_m {side_m:g} m is less than what avoidance.crewed_horizontal_m needs to the side"
         found.yellow("containment", text, "raise containment.crewed_side_m")
     if config.path is not None:

@@ -309,8 +309,8 @@ max_descent_mps = 2.0
 
 [avoidance]
 conflict_radius_m = 5.0             # each aircraft's; two of them are kept apart
-# crewed_horizontal_m = 150.0       # kept from crewed traffic (ADS-B) to the side,
-# crewed_vertical_m = 50.0          # or in height
+# crewed_horizontal_m = 610.0       # kept from crewed traffic (ADS-B) to the side,
+# crewed_vertical_m = 77.0          # or in height; both contain well clear of ASTM F3442
 
 [remote_id]
 {region}

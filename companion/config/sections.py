@@ -136,9 +136,10 @@ class AvoidanceConfig(_Section, frozen=True):
     """A key of `companion.laws.LAWS`, or the name of a plug-in."""
     conflict_radius_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
     """Radius of one aircraft. The separation of two aircraft must be at least twice this radius."""
-    crewed_horizontal_m: Annotated[float, Meta(gt=0, le=5000)] = 150.0
-    """Horizontal separation from crewed traffic; alternatively `crewed_vertical_m` must be kept in height."""
-    crewed_vertical_m: Annotated[float, Meta(gt=0, le=1000)] = 50.0
+    crewed_horizontal_m: Annotated[float, Meta(gt=0, le=5000)] = 610.0
+    """Horizontal separation from crewed traffic; alternatively `crewed_vertical_m` must be kept in height.
+    The defaults contain well clear of ASTM F3442: 2,000 ft and 250 ft."""
+    crewed_vertical_m: Annotated[float, Meta(gt=0, le=1000)] = 77.0
     horizon_s: Annotated[float, Meta(gt=0, le=120)] = 20.0
     period_s: Annotated[float, Meta(ge=0.02, le=1)] = 0.2
     recovery_time_s: Annotated[float, Meta(gt=0, le=120)] = 15.0
@@ -173,10 +174,10 @@ class ContainmentConfig(_Section, frozen=True):
     """When `total_s` is spent. resume: fly on without avoiding them, and warn. hold: ask the vehicle to
     hold, and leave it to the pilot."""
     crewed_side_m: Annotated[float, Meta(ge=30, le=100_000)] | None = None
-    """`side_m` for crewed traffic (ADS-B), which may also press the aircraft down to the floor. None: three
-    times avoidance.crewed_horizontal_m, at least `side_m`."""
+    """`side_m` for crewed traffic (ADS-B), which may also press the aircraft down to the floor. None:
+    1.25 times avoidance.crewed_horizontal_m, at least `side_m`."""
     crewed_above_m: Annotated[float, Meta(ge=10, le=10_000)] | None = None
-    """`above_m` for crewed traffic. None: twice avoidance.crewed_vertical_m, at least `above_m`."""
+    """`above_m` for crewed traffic. None: 1.25 times avoidance.crewed_vertical_m, at least `above_m`."""
     crewed_total_s: Annotated[float, Meta(ge=10, le=86_400)] = 600.0
     """`total_s` for crewed traffic, which has no allowance for each track."""
     crewed_then: Literal["resume", "hold"] = "hold"

@@ -51,6 +51,7 @@ from companion.events.traffic import (
 )
 from companion.events.vehicle import (
     SIGMA_UNKNOWN_M,
+    AirPressure,
     ClockRead,
     CurrentMode,
     EstimatorState,
@@ -72,9 +73,9 @@ from companion.events.vehicle import (
 )
 
 __all__ = [
-    "SIGMA_UNKNOWN_M", "AdsbVehicle", "AlertChanged", "AllowanceSpent", "AnyCommand", "AnyEvent",
-    "ArmStatus", "AuthorityChanged", "Broadcast", "BroadcastChanged", "ClockRead", "Command", "CurrentMode",
-    "Decision", "DownloadFence", "DownloadMission", "EstimatorState", "Event", "FenceArea",
+    "SIGMA_UNKNOWN_M", "AdsbVehicle", "AirPressure", "AlertChanged", "AllowanceSpent", "AnyCommand",
+    "AnyEvent", "ArmStatus", "AuthorityChanged", "Broadcast", "BroadcastChanged", "ClockRead", "Command",
+    "CurrentMode", "Decision", "DownloadFence", "DownloadMission", "EstimatorState", "Event", "FenceArea",
     "FenceDownloaded", "FenceRefused", "Firmware", "FlightMode", "GateAuthority", "GateRefused",
     "GlobalPosition", "GnssFix", "Heartbeat", "InputBehind", "Landed", "LandedState", "LocalPosition",
     "MissionCurrent", "MissionDownloaded", "MissionItem", "MissionRefused", "ModeRefused",
@@ -86,7 +87,7 @@ __all__ = [
 
 AnyEvent = (
     Heartbeat | CurrentMode | TwoAutopilots | GlobalPosition | LocalPosition | GnssFix | VehicleTime
-    | ClockRead | LandedState | EstimatorState | RcChannels | ModeRefused | MissionDownloaded
+    | AirPressure | ClockRead | LandedState | EstimatorState | RcChannels | ModeRefused | MissionDownloaded
     | MissionRefused | MissionCurrent | FenceDownloaded | FenceRefused | VehicleParameters | AdsbVehicle
     | VehicleText | InputBehind | GateRefused | GateAuthority | RemoteIdHeard | RadioState | OperatorData
     | RemoteIdModule | Settings

@@ -109,6 +109,12 @@ class GnssFix(Event, frozen=True):
     satellites: int | None = None
 
 
+class AirPressure(Event, frozen=True):
+    """SCALED_PRESSURE: the absolute pressure that the autopilot's barometer measures."""
+
+    pressure_hpa: float
+
+
 class VehicleTime(Event, frozen=True):
     """SYSTEM_TIME: the autopilot's UTC, if it knows UTC."""
 

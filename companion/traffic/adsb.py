@@ -2,9 +2,9 @@
 
 Altitudes decide whether an aircraft passes above or below. A geometric altitude can be compared with our own.
 A barometric one cannot: transponders send the pressure altitude of the standard atmosphere, which is 8 m off
-for each hectopascal that the day's pressure differs, and receivers pass it on unchanged. A barometric
-altitude therefore separates aircraft only if the difference is larger than any weather error
-(`BAROMETRIC_M`).
+for each hectopascal that the day's pressure differs, and receivers pass it on unchanged. It is compared with
+our own pressure altitude, in which there is the same weather. While that is not known, a barometric altitude
+separates aircraft only if the difference is larger than any weather error (`BAROMETRIC_M`).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from companion.avoidance import kernels as k
 from companion.avoidance.law import Neighbour
 from companion.config import AvoidanceConfig
 from companion.events import AdsbVehicle
@@ -34,6 +35,12 @@ it. NACp 8, the least that most airspace requires, is 93 m at 95 %; present GNSS
 that."""
 SIGMA_MPS = 1.5
 """Assumed standard deviation of the velocity for each axis. NACv 2 is 3 m/s at 95 %."""
+SIGMA_DOWN_M = 15.0
+"""Assumed standard deviation of a geometric height beside ours. GVA 2, which most installations reach, is 45
+m at 95 % in the standard; present GNSS receivers reach a fifth of that, and ours errs by 5 m."""
+PRESSURE_SIGMA_M = 30.0
+"""The same of a pressure altitude beside ours: altimeter, encoder (in steps of up to 100 ft) and static
+source of the other aircraft err by 10 to 30 m, and our own barometer by 10 m."""
 BAROMETRIC_M = 300.0
 """Least difference from our own height at which a barometric altitude separates aircraft. It corresponds to
 weather that is 37 hPa off the standard atmosphere."""
@@ -60,10 +67,14 @@ class _Seen:
     position: Vec3
     velocity: Vec3
     at_s: float
+    alt_m: float
+    """Reported altitude; 0 if it is not known."""
     vertical_known: bool
     barometric: bool
     crewed: bool
     told: tuple[object, ...]
+    turn_rps: float
+    """Turn rate, positive to the right."""
     reports: int
     threat_s: float
     """When it was last a threat (our monotonic time)."""
@@ -82,14 +93,22 @@ class AdsbTraffic:
 
     def __init__(self, own_icao: int | None, avoidance: AvoidanceConfig | None = None) -> None:
         self.judgement = Judgement(avoidance or AvoidanceConfig())
+        self._own_pressure_alt_m: float | None = None
         self.full = FullTable("ADS-B traffic", MOST)
         self._own_icao = own_icao
         self._seen: dict[int, _Seen] = {}
         self._ranking = Ranking()
         self._ranked_s = -math.inf
 
-    def note_own(self, now_s: float, position: Vec3, velocity: Vec3) -> None:
-        """Store the own state (local NED), by which aircraft are ranked."""
+    def note_own(
+        self, now_s: float, position: Vec3, velocity: Vec3, pressure_alt_m: float | None = None
+    ) -> None:
+        """Store the own state (local NED), by which aircraft are ranked.
+
+        Args:
+            pressure_alt_m: own pressure altitude; None while unknown.
+        """
+        self._own_pressure_alt_m = pressure_alt_m
         self.judgement.position, self.judgement.velocity = position, velocity
         if 2 * len(self._seen) >= MOST and now_s >= self._ranked_s + _RANKED_S:
             self._ranked_s = now_s
@@ -130,10 +149,12 @@ class AdsbTraffic:
             position=position,
             velocity=event.velocity_ned_mps or (_STILL if before is None else before.velocity),
             at_s=at_s,
+            alt_m=event.alt_m or 0.0,
             vertical_known=alt_msl_m is not None,
             barometric=not event.alt_geometric,
             crewed=event.emitter not in _NOT_CREWED,
             told=told,
+            turn_rps=0.0 if before is None else before.turn_rps,
             reports=1 if before is None else before.reports + 1,
             threat_s=-math.inf if before is None else before.threat_s,
             anchor=before,
@@ -145,6 +166,8 @@ class AdsbTraffic:
             anchor.anchor = None
             if event.velocity_ned_mps is None and at_s - anchor.at_s >= _APART_S:
                 seen.velocity = _between(anchor, seen)
+            passed_s = at_s - before.at_s
+            seen.turn_rps = k.turn_rate(before.turn_rps, before.velocity, seen.velocity, passed_s)
         self._rank(event.icao, now_s)
         if len(self._seen) > MOST:
             self._make_room(now_s)
@@ -161,11 +184,9 @@ class AdsbTraffic:
         """Place the aircraft where it stands now. Consecutive addresses share an allowance."""
         seen = self._seen[icao]
         age_s = max(0.0, now_s - seen.at_s)
-        known = seen.vertical_known
-        if seen.barometric:
-            known = known and abs(seen.position[2] - self.judgement.position[2]) > BAROMETRIC_M
+        position, known = self._placed(seen, self.judgement.position[2])
         margin = margin_m(SIGMA_M, SIGMA_MPS, age_s, 0.0)
-        motion = Motion(seen.position, seen.velocity, age_s, margin, known, seen.crewed)
+        motion = Motion(position, seen.velocity, age_s, margin, known, seen.crewed)
         trust = Trust.ESTABLISHED if seen.reports >= ESTABLISHED else Trust.FRESH
         was_threat = now_s - seen.threat_s <= HOLD_S
         standing, threat = self.judgement.standing(
@@ -174,6 +195,15 @@ class AdsbTraffic:
         if threat:
             seen.threat_s = now_s
         self._ranking.place(_name(icao), standing)
+
+    def _placed(self, seen: _Seen, own_down_m: float) -> tuple[Vec3, bool]:
+        """Position of an aircraft beside ours, and whether its height is known."""
+        if not (seen.barometric and seen.vertical_known):
+            return seen.position, seen.vertical_known
+        north, east, down = seen.position
+        if self._own_pressure_alt_m is None:
+            return seen.position, abs(down - own_down_m) > BAROMETRIC_M
+        return (north, east, own_down_m + self._own_pressure_alt_m - seen.alt_m), True
 
     def _remove(self, icao: int) -> None:
         del self._seen[icao]
@@ -192,7 +222,8 @@ class AdsbTraffic:
         """Every aircraft that is not expired, as input of the law. Expired ones are removed.
 
         Args:
-            own_down_m: own NED down, with which barometric altitudes are compared.
+            own_down_m: own NED down now. Barometric altitudes are compared with it, or with the own pressure
+                altitude of the last `note_own`.
         """
         self._expire(now_s)
         return self.look(now_s, own_down_m)
@@ -201,7 +232,7 @@ class AdsbTraffic:
         """Like `neighbours`, but without a change of state, so that a status display does not affect
         replays."""
         return [
-            _neighbour(icao, seen, now_s, own_down_m)
+            _neighbour(icao, seen, now_s, *self._placed(seen, own_down_m))
             for icao, seen in self._seen.items()
             if now_s - seen.at_s <= EXPIRE_S
         ]
@@ -211,13 +242,10 @@ def _name(icao: int) -> str:
     return f"{icao:06X}"
 
 
-def _neighbour(icao: int, seen: _Seen, now_s: float, own_down_m: float) -> Neighbour:
-    known = seen.vertical_known
-    if seen.barometric:
-        known = known and abs(seen.position[2] - own_down_m) > BAROMETRIC_M
+def _neighbour(icao: int, seen: _Seen, now_s: float, position: Vec3, known: bool) -> Neighbour:
     return Neighbour(
         track_id=_name(icao),
-        position_ned_m=seen.position,
+        position_ned_m=position,
         velocity_ned_mps=seen.velocity,
         age_s=max(0.0, now_s - seen.at_s),
         sigma_m=SIGMA_M,
@@ -226,6 +254,8 @@ def _neighbour(icao: int, seen: _Seen, now_s: float, own_down_m: float) -> Neigh
         vertical_known=known,
         crewed=seen.crewed,
         adsb=True,
+        turn_rps=seen.turn_rps,
+        sigma_down_m=PRESSURE_SIGMA_M if seen.barometric else SIGMA_DOWN_M,
     )
 
 

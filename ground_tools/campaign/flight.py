@@ -73,6 +73,8 @@ class Mind(NamedTuple):
     """(receiver, sender, MESSAGE_COLUMNS): the latest message."""
     got: Floats
     """(receiver, sender): when it was received."""
+    turn_rps: Floats
+    """(receiver, sender): turn rate as received."""
     pasts: Floats
     """(receiver, sender, columns of `kernels.Past`)."""
     command: Floats
@@ -119,6 +121,7 @@ def _new_mind(fleet: int, settings: Floats) -> Mind:
     return Mind(
         heard=heard,
         got=np.zeros((fleet, fleet)),
+        turn_rps=np.zeros((fleet, fleet)),
         pasts=pasts,
         command=np.array([state.command for state in first]),
         decided_s=np.array([state.time_s for state in first]),
@@ -379,6 +382,11 @@ def _receive(now: float, declared: float, i: int, craft: Fleet, mind: Mind) -> N
             if arrival[i, j, slot] <= now:
                 arrival[i, j, slot] = math.inf
                 if sent[j, slot, M_TIME] > heard[i, j, M_TIME]:
+                    was, now_ = heard[i, j], sent[j, slot]
+                    mind.turn_rps[i, j] = k.turn_rate(
+                        mind.turn_rps[i, j], (was[4], was[5], was[6]), (now_[4], now_[5], now_[6]),
+                        now_[M_TIME] - was[M_TIME],
+                    )  # fmt: skip
                     for c in range(MESSAGE_COLUMNS):
                         heard[i, j, c] = sent[j, slot, c]
                     mind.got[i, j] = now
@@ -422,6 +430,8 @@ def _look(
             0.0 if kinds[j] == BAROMETRIC else 1.0,
             1.0 if crewed else 0.0,
             0.0 if crewed else past.growth_down_mps,
+            mind.turn_rps[i, j] if crewed else 0.0,
+            adsb.SIGMA_DOWN_M if crewed else 0.0,
         )  # fmt: skip
         k.put_other(mind.neighbours, count, known)
         mind.senders[count] = j

@@ -103,6 +103,7 @@ class Telemetry:
             mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
             mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._system_time,
             mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_raw,
+            mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE: self._scaled_pressure,
             mavlink.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
             mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
@@ -249,6 +250,12 @@ class Telemetry:
             0,
         )
         return Payload(mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, body)
+
+    def _scaled_pressure(self, now_s: float) -> MavlinkMessage:
+        """The pressure of the standard atmosphere, without weather, at the true height."""
+        altitude = self._options.home_alt_msl_m - self._flight.body.down
+        pressure_hpa = 1013.25 * (1.0 - altitude / 44_330.77) ** (1.0 / 0.190263)
+        return mavlink.MAVLink_scaled_pressure_message(self._boot_ms(now_s), pressure_hpa, 0.0, 1500)
 
     def _attitude(self, now_s: float) -> Payload:
         """Roll and pitch of a multicopter with this acceleration. Angular rates are not modelled."""

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 
 from companion.events import (
+    AirPressure,
     ClockRead,
     CurrentMode,
     Firmware,
@@ -18,7 +19,7 @@ from companion.events import (
     LocalPosition,
     VehicleTime,
 )
-from companion.ownship import Ownship
+from companion.ownship import Ownship, pressure_altitude_m
 
 
 def position(time_boot_s, lat_deg=47.0, velocity=(1.0, 0.0, 0.0)):
@@ -317,3 +318,30 @@ def test_current_mode_of_a_vehicle_that_cannot_be_commanded():
     own.observe(msgspec.structs.replace(own.heartbeat, vehicle_type=1), 0.1)
     own.observe(CurrentMode(custom_mode=0x00060000), 0.2)
     assert own.mode is FlightMode.OTHER
+
+
+@pytest.mark.parametrize(
+    ("pressure_hpa", "altitude_m"), [(1013.25, 0.0), (954.61, 500.0), (898.76, 1000.0), (701.09, 3000.0)]
+)
+def test_altitudes_of_the_standard_atmosphere(pressure_hpa, altitude_m):
+    """The table of ICAO Doc 7488."""
+    assert pressure_altitude_m(pressure_hpa) == pytest.approx(altitude_m, abs=0.5)
+
+
+def test_the_own_pressure_altitude_climbs_with_us_until_it_is_old():
+    """450 m above the sea; the first report comes before any position."""
+    own = armed()
+    own.observe(AirPressure(pressure_hpa=960.0), 0.5)
+    assert own.pressure_alt_m(0.5) is None
+    own.observe(position(10.0, velocity=(0.0, 0.0, -2.0)), 1.0)
+    own.observe(AirPressure(pressure_hpa=960.0), 1.0)
+    assert own.pressure_alt_m(1.0) == pytest.approx(pressure_altitude_m(960.0), abs=0.01)
+    assert own.pressure_alt_m(3.0) == pytest.approx(pressure_altitude_m(960.0) + 4.0, abs=0.01)
+    assert own.pressure_alt_m(6.1) is None
+
+
+def test_a_pressure_that_no_weather_explains_is_not_believed():
+    own = armed()
+    own.observe(position(10.0), 1.0)
+    own.observe(AirPressure(pressure_hpa=900.0), 1.0)
+    assert own.pressure_alt_m(1.0) is None

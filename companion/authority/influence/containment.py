@@ -17,7 +17,7 @@ from companion.arrays import Floats
 from companion.authority.course import LEAST_LAYER_M, Course
 from companion.avoidance import kernels as k
 from companion.avoidance.law import Law
-from companion.config import Config
+from companion.config import AvoidanceConfig, Config, ContainmentConfig
 from companion.geometry import Vec3
 from companion.laws import kind_of
 from companion.ownship import Ownship
@@ -33,6 +33,9 @@ _MOST_PLACES = 32
 """Most places outside of the mission's volume that are remembered."""
 _CREWED_S = 3.0
 """The volume for crewed traffic stays in force for this long after a conflict with such traffic."""
+CREWED_REACH = 1.25
+"""How far crewed traffic may push the aircraft, as a multiple of the separations from it: the separation
+from an aircraft that passes over the mission, and its errors."""
 _AREA = 1e6
 """Number of the area in the table of walls; no fence has as many areas."""
 
@@ -122,11 +125,11 @@ class Containment:
             heights.append(height_m)
         self._range_m = min(heights), max(heights)
         places = [*(place[:2] for place in course.places), *self._more]
-        if not places or not _within(_around(places, self._crewed_side_m + _BEYOND_M), here):
+        if not places or not _within(area_around(places, self._crewed_side_m + _BEYOND_M), here):
             self._more.append(here)
             places.append(here)
-        self._narrow = _around(places, config.side_m)
-        self._wide = _around(places, self._crewed_side_m)
+        self._narrow = area_around(places, config.side_m)
+        self._wide = area_around(places, self._crewed_side_m)
 
     def _needs_wide(self, now_s: float, here: _Place, height_m: float) -> bool:
         """Whether the volume for crewed traffic is in force: until the aircraft is back in the other one."""
@@ -155,23 +158,27 @@ class Containment:
 
 def crewed_reach_m(config: Config) -> tuple[float, float]:
     """How far crewed traffic may push the aircraft to the side, and above the present leg (m)."""
-    own, separations = config.containment, config.avoidance
+    return reach_m(config.containment, config.avoidance)
+
+
+def reach_m(own: ContainmentConfig, separations: AvoidanceConfig) -> tuple[float, float]:
+    """The same of the two sections that say it."""
     side_m, above_m = own.crewed_side_m, own.crewed_above_m
     if side_m is None:
-        side_m = max(3.0 * separations.crewed_horizontal_m, own.side_m)
+        side_m = max(CREWED_REACH * separations.crewed_horizontal_m, own.side_m)
     if above_m is None:
-        above_m = max(2.0 * separations.crewed_vertical_m, own.above_m)
+        above_m = max(CREWED_REACH * separations.crewed_vertical_m, own.above_m)
     return side_m, above_m
 
 
 def extent(places: Sequence[Vec3], config: Config) -> tuple[tuple[float, float], tuple[float, float]]:
     """From south to north and from west to east: the ends (m) of the area around some places (NED, m)."""
-    corners = _around([place[:2] for place in places], config.containment.side_m)[:, 2:4]
+    corners = area_around([place[:2] for place in places], config.containment.side_m)[:, 2:4]
     (south, west), (north, east) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
     return (south, north), (west, east)
 
 
-def _around(places: Sequence[_Place], side_m: float) -> Floats:
+def area_around(places: Sequence[_Place], side_m: float) -> Floats:
     """Walls of an inclusion area around all places: no point of it is farther than `side_m` from their convex
     hull."""
     angles = [2.0 * math.pi * i / _CORNERS for i in range(_CORNERS)]

@@ -4,6 +4,7 @@
 - `settings`: what a decision takes and gives: settings, own state, memory, result.
 - `timelines`: the timed path, and the history of own velocities.
 - `neighbours`: the past of tracks, and the planes of neighbours.
+- `crewed`: the velocity that stays well clear of crewed traffic.
 - `powers`: what received powers say of reported positions.
 - `walls`, `fence_planes`: the walls of a fence, and their planes.
 - `programs`: the half-space of ORCA and the linear programs.
@@ -18,6 +19,7 @@ in flight.
 """
 
 from companion.avoidance.kernels.compiled import FUNCTIONS, SOURCES
+from companion.avoidance.kernels.crewed import crewed_wish, turn_rate
 from companion.avoidance.kernels.decide import (
     BOUNDARY_LAG_S,
     ON_PLANE_MPS,
@@ -164,6 +166,7 @@ __all__ = [
     "all_within",
     "closest",
     "closing",
+    "crewed_wish",
     "crosses",
     "decide",
     "decide_plain",
@@ -197,6 +200,7 @@ __all__ = [
     "silent_after",
     "solve",
     "suspicion",
+    "turn_rate",
     "wall_at",
     "warm_up",
     "workspace",

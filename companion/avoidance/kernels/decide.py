@@ -13,6 +13,7 @@ import numpy as np
 
 from companion.arrays import Floats
 from companion.avoidance.kernels.compiled import compiled
+from companion.avoidance.kernels.crewed import LEAST_RISK, crewed_wish, turn_rate
 from companion.avoidance.kernels.fence_planes import (
     BRAKES,
     DOWN_SPEEDS,
@@ -30,6 +31,7 @@ from companion.avoidance.kernels.neighbours import (
     kept_for,
     neighbour_planes,
     note_track,
+    other_at,
     silent_after,
 )
 from companion.avoidance.kernels.powers import HYPOTHESES, note_power, suspicion
@@ -223,6 +225,14 @@ def _bounded(work: Workspace, count: int, hard: int, solved: Vector) -> tuple[bo
 
 
 @compiled
+def _note_crewed(neighbours: Floats, count: int, work: Workspace) -> None:
+    """Report the crewed aircraft because of which we do not fly as planned."""
+    for j in range(count):
+        if other_at(neighbours, j).crewed != 0.0 and work.ahead[j, 0, 7] >= LEAST_RISK:
+            work.seen[j, 4], work.seen[j, 7] = 1.0, 1.0
+
+
+@compiled
 def decide(
     neighbours: Floats,
     count: int,
@@ -261,12 +271,22 @@ def decide(
     margin = FENCE_MARGIN_M + 2.0 * own.sigma_m
     site = Site(fence, here, ahead, margin, settings.speed_mps, settings.acceleration_mps2)
     hard, first = _fence_first(site, before, change, least, most, work.planes)
+    wish, gives_way = wanted, False
+    if law == DMUCA:
+        wish, gives_way = crewed_wish(
+            neighbours, count, own, wanted, path, own.path_time_s - delay_s, fence, settings, before,
+            work.ahead,
+        )  # fmt: skip
     after, conflict, on_right = neighbour_planes(
-        neighbours, count, own, wanted, settings, history, samples, work.planes, first, work.seen, work.asked
+        neighbours, count, own, wish, settings, history, samples, work.planes, first, work.seen, work.asked
     )
-    wish = _turned(wanted, settings.right_rad) if conflict and not on_right else wanted
+    if conflict and not on_right:
+        wish = _turned(wish, settings.right_rad)
+    conflict = conflict or gives_way
     feasible, solved = solve(work.planes, hard, after, settings.speed_mps, SLACK_MPS, wish, work.scratch)
     at_least, at_most, at_fence = _bounded(work, count, hard, solved)
+    if gives_way:
+        _note_crewed(neighbours, count, work)
     flown, quiet = solved, state.quiet
     if law == PAPER:
         quiet = 0.0 if conflict else quiet + 1.0
@@ -305,7 +325,7 @@ def decide_plain(
     settings: tuple[float, ...],
     state: tuple[Triple, float, float, float, int],
     history: tuple[Floats, Floats],
-    work: tuple[Floats, Floats, Floats, Floats],
+    work: tuple[Floats, Floats, Floats, Floats, Floats],
 ) -> PlainDecision:
     """`decide` for calls from Python, with plain tuples in place of the named ones.
 
@@ -349,6 +369,7 @@ def warm_up() -> None:
     all_within(neighbours, 2, 1.0)
     silent_after(0.0)
     kept_for(0.0, KEPT_S)
+    turn_rate(0.0, zero, zero, 1.0)
     note_track(tuple(NO_PAST), 1.0, zero, zero, 1.0)
     powers = np.zeros(HYPOTHESES)
     note_power(powers, np.zeros((2, HYPOTHESES)), np.zeros(3), 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from companion.arrays import Floats
 from companion.avoidance.kernels.compiled import compiled
 from companion.avoidance.kernels.programs import half_space
-from companion.avoidance.kernels.settings import DEMAND, PAPER, Own, Settings
+from companion.avoidance.kernels.settings import DEMAND, DMUCA, PAPER, Own, Settings
 from companion.avoidance.kernels.timelines import History, own_velocity_at
 from companion.avoidance.kernels.vectors import (
     PLANE_COLUMNS,
@@ -51,6 +51,8 @@ GAP_MEMORY_S = 60.0
 """Time constant with which the longest gap of a track fades."""
 PASSING_M = 5.0
 """Another aircraft that passes by more than this to the right of us passes on our right."""
+NEVER_MPS = 1e6
+"""No velocity is so great."""
 STOPS_S = 1.0
 """A silent track is assumed to stand where it would have been this long after its last message."""
 
@@ -113,6 +115,10 @@ class Other(NamedTuple):
     """1: crewed traffic, with its own separations."""
     growth_down_mps: float
     """`Past.growth_down_mps`."""
+    turn_rps: float
+    """Turn rate of crewed traffic, positive to the right."""
+    sigma_down_m: float
+    """Error of the height of crewed traffic beside ours."""
 
 
 class Seen(NamedTuple):
@@ -231,7 +237,8 @@ def other_at(neighbours: Floats, row: int) -> Other:
     """A row of a table of neighbours."""
     r = neighbours[row]
     return Other(
-        r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11], r[12], r[13], r[14]
+        r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11], r[12], r[13], r[14],
+        r[15], r[16],
     )  # fmt: skip
 
 
@@ -242,7 +249,7 @@ def put_other(neighbours: Floats, row: int, other: Other) -> None:
     r[0], r[1], r[2], r[3], r[4], r[5] = other.n, other.e, other.d, other.vn, other.ve, other.vd
     r[6], r[7], r[8], r[9] = other.age_s, other.sigma_m, other.sigma_mps, other.growth_mps
     r[10], r[11], r[12], r[13] = other.silent, other.share, other.vertical_known, other.crewed
-    r[14] = other.growth_down_mps
+    r[14], r[15], r[16] = other.growth_down_mps, other.turn_rps, other.sigma_down_m
 
 
 @compiled
@@ -337,6 +344,14 @@ def _put_asked(asked: Floats, row: int, which: int, plane: Plane, planes: Floats
 
 
 @compiled
+def _ask_nothing(asked: Floats, row: int, planes: Floats, at: int) -> None:
+    """Write a plane that every velocity satisfies."""
+    put_plane(planes, at, Vector(0.0, 0.0, 1.0), -NEVER_MPS)
+    for which in range(2):
+        put_plane(asked[row], which, Vector(0.0, 0.0, 0.0), 0.0)
+
+
+@compiled
 def _right_of(course: Vector, point: Vector) -> float:
     """How far a point lies to the right of a course through the origin; 0 without a horizontal course."""
     speed = math.sqrt(course.n * course.n + course.e * course.e)
@@ -383,9 +398,17 @@ def neighbour_planes(
         if level:  # an unknown height must not be passed above or below
             away, closing_d, wish = Vector(away.n, away.e, 0.0), 0.0, Vector(wish.n, wish.e, 0.0)
         look_s = max(settings.look_s, volume.horizon_s)
+        t, near2 = closest(away, wish, 1e6)
+        seen[j, 0], seen[j, 1] = own.position.n + away.n, own.position.e + away.e
+        seen[j, 2] = own.position.d + away.d
+        seen[j, 3], seen[j, 8] = volume.radius, volume.radius / volume.scale
+        seen[j, 5], seen[j, 6] = t, math.sqrt(near2)
+        if other.crewed != 0.0 and settings.law == DMUCA:  # `crewed` has chosen; no plane is asked for
+            seen[j, 4] = 0.0
+            _ask_nothing(asked, j, planes, first + j)
+            continue
         breaks = _enters(away, wish, volume, look_s)
         on_right = on_right or (breaks and _passes_right(wanted, away, wish))
-        t, near2 = closest(away, wish, 1e6)
         relative = Relative(away, velocity, then, closing_d)
         plane = _plane_of(relative, volume, settings.overlap_s, other.share, most)
         _put_asked(asked, j, 0, plane, planes, first + j)
@@ -406,9 +429,5 @@ def neighbour_planes(
             _put_asked(asked, j, 1, plane, planes, at)
             at += 1
         conflict = conflict or breaks
-        seen[j, 0], seen[j, 1] = own.position.n + away.n, own.position.e + away.e
-        seen[j, 2] = own.position.d + away.d
-        seen[j, 3], seen[j, 4] = volume.radius, 1.0 if breaks else 0.0
-        seen[j, 5], seen[j, 6] = t, math.sqrt(near2)
-        seen[j, 8] = volume.radius / volume.scale
+        seen[j, 4] = 1.0 if breaks else 0.0
     return at, conflict, on_right

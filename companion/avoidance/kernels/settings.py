@@ -16,8 +16,10 @@ DMUCA, PAPER, NONE = 0.0, 1.0, 2.0
 """Laws."""
 DEMAND = 2.0
 """Most that one neighbour's plane may require, as a multiple of the greatest speed."""
-OTHER_COLUMNS, SEEN_COLUMNS = 15, 9
+OTHER_COLUMNS, SEEN_COLUMNS = 17, 9
 """Number of fields of `Other` and of `Seen`."""
+STEPS, AHEAD_COLUMNS = 16, 8
+"""Moments for which crewed traffic is predicted, and what is written of each (`crewed`)."""
 
 
 class Settings(NamedTuple):
@@ -114,6 +116,8 @@ class Workspace(NamedTuple):
     asked: Floats
     """(neighbours, 2, 4): plane of each neighbour, and plane for the place where a silent track may have
     stopped (0 if there is none)."""
+    ahead: Floats
+    """(neighbours, STEPS, AHEAD_COLUMNS): predictions of crewed traffic."""
 
 
 class Decision(NamedTuple):
@@ -171,4 +175,5 @@ def workspace(walls: int, neighbours: int) -> Workspace:
         scratch=np.zeros((rows, PLANE_COLUMNS)),
         seen=np.zeros((neighbours, SEEN_COLUMNS)),
         asked=np.zeros((neighbours, 2, PLANE_COLUMNS)),
+        ahead=np.zeros((neighbours, STEPS, AHEAD_COLUMNS)),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
@@ -13,10 +14,11 @@ import numpy as np
 from msgspec import Meta
 
 from companion.arrays import Floats
+from companion.authority.influence.containment import area_around, reach_m
 from companion.avoidance import kernels as k
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
-from companion.config import AvoidanceConfig, LimitsConfig
+from companion.config import AvoidanceConfig, ContainmentConfig, LimitsConfig
 from companion.errors import ConfigError
 from ground_tools.campaign.encounters import flight, pairing
 from ground_tools.campaign.encounters.judge import NMAC, WELL_CLEAR, Volume, first_inside
@@ -26,7 +28,7 @@ from ground_tools.common.kept_lines import Kept
 from ground_tools.results import sources
 
 Own = Literal["hover", "5", "10", "15"]
-Altitude = Literal["geometric", "barometric", "unheard"]
+Altitude = Literal["geometric", "pressure", "barometric", "unheard"]
 OWN: Final[tuple[Own, ...]] = get_args(Own)
 ALTITUDES: Final[tuple[Altitude, ...]] = get_args(Altitude)
 WORLD: Final = World(end_s=float(pairing.DURATION_S), delay_s=(0.2, 1.0), floor_m=20.0, ceiling_m=150.0)
@@ -35,8 +37,12 @@ SPEED_MPS: Final[dict[Own, float]] = {"hover": 0.0, "5": 5.0, "10": 10.0, "15": 
 RESERVE_MPS: Final = 5.0
 """Greatest speed of our own aircraft beyond that of its path."""
 LEAST_MOST_MPS: Final = 10.0
+HEIGHT_ERROR_M: Final = 18.0
+"""Error of the difference of two pressure altitudes, one standard deviation, drawn once for an encounter:
+15 m of the crewed aircraft's altimeter, encoder and static source, 10 m of our own barometer."""
 _RECEIVED: Final[dict[Altitude, int]] = {
     "geometric": flight.GEOMETRIC,
+    "pressure": flight.PRESSURE,
     "barometric": flight.BAROMETRIC,
     "unheard": flight.UNHEARD,
 }
@@ -51,7 +57,8 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     own: Own = "hover"
     """Speed of our own aircraft over ground, m/s."""
     altitude: Altitude = "geometric"
-    """Altitude that the crewed aircraft sends; unheard: it sends nothing."""
+    """Altitude that the crewed aircraft sends; pressure: its pressure altitude, and ours is known;
+    barometric: the same, and ours is not known; unheard: it sends nothing."""
     horizontal_m: Annotated[float, Meta(gt=0)] = AvoidanceConfig().crewed_horizontal_m
     """Separation from crewed traffic that the law keeps."""
     vertical_m: Annotated[float, Meta(gt=0)] = AvoidanceConfig().crewed_vertical_m
@@ -62,6 +69,16 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     aside_m: Annotated[float, Meta(gt=0)] = WELL_CLEAR.aside_m
     """Window through which the crewed aircraft passes: distance to the side, and in height."""
     height_m: Annotated[float, Meta(gt=0)] = WELL_CLEAR.height_m
+
+    @property
+    def avoidance(self) -> AvoidanceConfig:
+        """The law of our own aircraft."""
+        return AvoidanceConfig(crewed_horizontal_m=self.horizontal_m, crewed_vertical_m=self.vertical_m)
+
+    @property
+    def reach_m(self) -> tuple[float, float]:
+        """How far the containment lets crewed traffic push our own aircraft to the side, and up."""
+        return reach_m(ContainmentConfig(), self.avoidance)
 
     @property
     def limits(self) -> LimitsConfig:
@@ -88,6 +105,8 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     """Largest distance of our own aircraft from its timed point."""
     back_m: float
     """The same at the end."""
+    aside_m: float
+    """Largest distance from the line of its path."""
 
 
 def fly(cell: Cell, model: Model, seeds: Sequence[int]) -> list[Row]:
@@ -115,26 +134,31 @@ def draw(cell: Cell, model: Model, seed: int) -> pairing.Encounter:
 
 def warm_up() -> None:
     """Compile, or load from the cache, the code of a flight."""
-    still = np.zeros((2, 3))
+    still, received = np.zeros((2, 3)), flight.Received(flight.UNHEARD, 1.0, 0.0)
     path = Trajectory([0.0, 1.0], [(0.0, 0.0, -80.0)] * 2)
     law = settings_of(AvoidanceConfig(), LimitsConfig(), path)
     conditions = WORLD.conditions(AvoidanceConfig().period_s)
-    flight.fly(np.random.default_rng(1), conditions, path.arrays, (still, still), law, (flight.UNHEARD, 1.0))
+    flight.fly(np.random.default_rng(1), conditions, path.arrays, (still, still), law, received)
 
 
 def flown(cell: Cell, encounter: pairing.Encounter, seed: int, *, avoids: bool) -> tuple[Floats, Floats]:
     """Fly an encounter with or without avoidance. Returns what `flight.fly` does."""
     own = encounter.own_times_s, encounter.own_points
     path = Trajectory(encounter.own_times_s.tolist(), encounter.own_points.tolist())
-    avoidance = AvoidanceConfig(crewed_horizontal_m=cell.horizontal_m, crewed_vertical_m=cell.vertical_m)
+    avoidance, error = cell.avoidance, np.random.default_rng([seed, 13]).normal(0.0, HEIGHT_ERROR_M)
     law = settings_of(avoidance, cell.limits, path)
+    side_m, above_m = cell.reach_m
+    world = msgspec.structs.replace(
+        WORLD, loss=cell.loss, ceiling_m=min(WORLD.ceiling_m, above_m - float(encounter.own_points[0, 2]))
+    )
     return flight.fly(
         np.random.default_rng([seed, 7]),  # the same with and without, so that they differ in the law alone
-        msgspec.structs.replace(WORLD, loss=cell.loss).conditions(avoidance.period_s),
+        world.conditions(avoidance.period_s),
         own,
         (encounter.position, encounter.velocity),
         law if avoids else law._replace(law=k.NONE),
-        (_RECEIVED[cell.altitude], cell.range_m),
+        flight.Received(_RECEIVED[cell.altitude], float(cell.range_m), float(error)),
+        area_around([(float(n), float(e)) for n, e, _ in encounter.own_points], side_m),
     )
 
 
@@ -158,7 +182,17 @@ def _fly(cell: Cell, model: Model, seed: int) -> Row:
         alert_s=round(alert, 3) if (alert := float(result[flight.F_ALERT])) < WORLD.end_s else None,
         deviation_m=round(float(result[flight.F_DEVIATION]), 3),
         back_m=round(float(result[flight.F_BACK]), 3),
+        aside_m=round(_aside(avoided, encounter.own_points), 3),
     )
+
+
+def _aside(trace: Floats, points: Floats) -> float:
+    """Largest horizontal distance (m) of positions, (N, 3), from the straight line between two points."""
+    along, away = (points[1] - points[0])[:2], trace[:, :2] - points[0, :2]
+    size = math.hypot(*along)
+    if size == 0.0:
+        return float(np.hypot(away[:, 0], away[:, 1]).max())
+    return float(np.abs(away[:, 0] * along[1] - away[:, 1] * along[0]).max() / size)
 
 
 def kept(folder: Path, cell: Cell) -> Kept[Row]:

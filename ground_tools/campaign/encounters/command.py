@@ -39,7 +39,8 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     add("--own", choices=OWN, default="hover",
         help="speed of the own aircraft in m/s (default: hover)")  # fmt: skip
     add("--altitude", choices=ALTITUDES, default="geometric",
-        help="altitude that the crewed aircraft sends by ADS-B; unheard: it sends nothing (default: "
+        help="altitude that the crewed aircraft sends by ADS-B; pressure: its pressure altitude, and ours is "
+        "known; barometric: the same, and ours is not known; unheard: it sends nothing (default: "
         "geometric)")  # fmt: skip
     separations = Cell(model="", digest="")
     add("--separation", type=float, nargs=2, metavar=("H", "V"),

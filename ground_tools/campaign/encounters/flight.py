@@ -8,7 +8,7 @@ happens. It is received as ADS-B, once a second.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -32,8 +32,21 @@ from ground_tools.campaign.vehicles import (
 )
 from ground_tools.campaign.world import Conditions
 
-UNHEARD, GEOMETRIC, BAROMETRIC = range(3)
-"""How the crewed aircraft is received: not at all, or with the altitude that ADS-B reports."""
+UNHEARD, GEOMETRIC, BAROMETRIC, PRESSURE = range(4)
+"""How the crewed aircraft is received: not at all, or with the altitude that ADS-B reports. BAROMETRIC:
+pressure altitude, and ours is not known. PRESSURE: ours is known."""
+
+
+class Received(NamedTuple):
+    """How the crewed aircraft is received."""
+
+    kind: int
+    range_m: float
+    """Distance within which its messages are received."""
+    height_error_m: float
+    """Error of the difference of both pressure altitudes, positive if it seems too high; for PRESSURE."""
+
+
 # Entries of `result`.
 (
     F_DEVIATION,  # largest distance of our own aircraft from its timed point, m
@@ -51,7 +64,8 @@ def fly(
     own: tuple[Floats, Floats],
     track: tuple[Floats, Floats],
     settings: k.Settings,
-    received: tuple[int, float],
+    received: Received,
+    walls: Floats = k.NO_WALLS,
 ) -> tuple[Floats, Floats]:
     """Fly one encounter.
 
@@ -61,21 +75,21 @@ def fly(
         own: times (2,) and points (2, 3) of our own straight path; NED, s and m.
         track: positions and velocities of the crewed aircraft, both (N + 1, 3), for each step of the world.
         settings: those of our own law.
-        received: UNHEARD, GEOMETRIC or BAROMETRIC, and the range within which messages are received, m.
+        received: how the crewed aircraft is received.
+        walls: walls that our own aircraft keeps, as `k.Wall`.
 
     Returns:
         Positions of our own aircraft, (N + 1, 3), and the ENTRIES of the result.
     """
     times, points = own
     trace, result = np.zeros_like(track[0]), np.zeros(ENTRIES)
-    neighbours, heard = np.zeros((1, k.OTHER_COLUMNS)), np.zeros(MESSAGE_COLUMNS)
+    neighbours, heard = np.zeros((1, k.OTHER_COLUMNS)), np.zeros(MESSAGE_COLUMNS + 1)
     craft = on_the_ground(2, world)
     begin(rng, world, np.stack([times, times]), np.stack([points, points]), _KINDS, craft)
     history = k.History(np.zeros(k.HISTORY_SAMPLES), np.zeros((k.HISTORY_SAMPLES, 3)))
     _fly(
         rng, world, k.Path(times, points), track[0], track[1], settings, k.first_state(settings, 0), history,
-        k.workspace(0, 1), k.NO_WALLS, craft, _KINDS, neighbours, heard, received[0], float(received[1]),
-        trace, result,
+        k.workspace(len(walls), 1), walls, craft, _KINDS, neighbours, heard, received, trace, result,
     )  # fmt: skip
     return trace, result
 
@@ -96,12 +110,12 @@ def _fly(
     kinds: Floats,
     neighbours: Floats,
     heard: Floats,
-    received: int,
-    range_m: float,
+    received: Received,
     trace: Floats,
     result: Floats,
 ) -> None:
-    """The loop of `fly`. `heard` is the latest message, `neighbours` the table of the law."""
+    """The loop of `fly`. `heard` is the latest message and the turn rate, `neighbours` the table of the
+    law."""
     every, message_every = int(world.period), int(world.message)
     heard[M_TIME], result[F_ALERT] = -math.inf, math.inf
     _place(craft, position, velocity, 0)
@@ -111,7 +125,7 @@ def _fly(
             trace[tick, c] = craft.position[_OWN, c]
         if (tick + craft.phase[_OTHER]) % message_every == 0:
             slot = send(rng, world, tick, _OTHER, kinds, craft)
-            if received == UNHEARD or _apart(craft) > range_m:
+            if received.kind == UNHEARD or _apart(craft) > received.range_m:
                 craft.arrival[_OWN, _OTHER, slot] = math.inf
         _receive(now, craft, heard)
         if tick % every == 0:
@@ -166,25 +180,32 @@ def _receive(now: float, craft: Fleet, heard: Floats) -> None:
     for slot in range(craft.arrival.shape[2]):
         if craft.arrival[_OWN, _OTHER, slot] <= now:
             craft.arrival[_OWN, _OTHER, slot] = math.inf
-            if craft.sent[_OTHER, slot, M_TIME] > heard[M_TIME]:
+            sent = craft.sent[_OTHER, slot]
+            if sent[M_TIME] > heard[M_TIME]:
+                heard[-1] = k.turn_rate(
+                    heard[-1], (heard[4], heard[5], heard[6]), (sent[4], sent[5], sent[6]),
+                    sent[M_TIME] - heard[M_TIME],
+                )  # fmt: skip
                 for c in range(MESSAGE_COLUMNS):
-                    heard[c] = craft.sent[_OTHER, slot, c]
+                    heard[c] = sent[c]
 
 
 @compiled(inline="always")
-def _look(now: float, received: int, own_down_m: float, heard: Floats, neighbours: Floats) -> int:
+def _look(now: float, received: Received, own_down_m: float, heard: Floats, neighbours: Floats) -> int:
     """Write the crewed aircraft to the law's table, as `companion.traffic.adsb` passes it on. Returns the
     number of rows."""
     age = now - heard[M_TIME]
     if age > adsb.EXPIRE_S:
         return 0
     p, v = heard[M_POSITION:M_VELOCITY], heard[M_VELOCITY:MESSAGE_COLUMNS]
-    known = received == GEOMETRIC or abs(p[2] - own_down_m) > adsb.BAROMETRIC_M
+    sigma_down = adsb.SIGMA_DOWN_M if received.kind == GEOMETRIC else adsb.PRESSURE_SIGMA_M
+    down = p[2] - received.height_error_m if received.kind == PRESSURE else p[2]
+    known = received.kind != BAROMETRIC or abs(down - own_down_m) > adsb.BAROMETRIC_M
     k.put_other(
         neighbours, 0,
         k.Other(
-            p[0], p[1], p[2], v[0], v[1], v[2], max(age, 0.0), adsb.SIGMA_M, adsb.SIGMA_MPS,
-            0.0, 0.0, CREWED_SHARE, 1.0 if known else 0.0, 1.0, 0.0,
+            p[0], p[1], down, v[0], v[1], v[2], max(age, 0.0), adsb.SIGMA_M, adsb.SIGMA_MPS,
+            0.0, 0.0, CREWED_SHARE, 1.0 if known else 0.0, 1.0, 0.0, heard[-1], sigma_down,
         ),
     )  # fmt: skip
     return 1

@@ -59,6 +59,8 @@ def summary(cell: Cell, rows: Sequence[Row]) -> dict[str, Any]:
         "deviation_median_m": float(np.median(deviation)),
         "deviation_p95_m": float(np.percentile(deviation, 95)),
         "deviation_max_m": float(deviation.max()),
+        "aside_max_m": max(row.aside_m for row in rows),
+        "containment_m": cell.reach_m[0],
         "nmac_seeds": [row.seed for row in rows if row.nmac][:_MOST_SEEDS],
     }
 
@@ -87,7 +89,8 @@ def lines(cell: Cell, found: dict[str, Any]) -> list[str]:
         )
     said.append(
         f"largest deviation: median {r['deviation_median_m']:.0f} m, 95th percentile "
-        f"{r['deviation_p95_m']:.0f} m, largest {r['deviation_max_m']:.0f} m"
+        f"{r['deviation_p95_m']:.0f} m, largest {r['deviation_max_m']:.0f} m; aside from the path at most "
+        f"{r['aside_max_m']:.0f} m, of {r['containment_m']:.0f} m in the containment"
     )
     if r["nmac_seeds"]:
         said.append(f"seeds with a near mid-air collision: {', '.join(map(str, r['nmac_seeds']))}")

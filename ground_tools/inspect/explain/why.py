@@ -8,6 +8,8 @@ follows:
 - Our share of the avoidance is 1 for crewed traffic and one half for all others. (In flight it is also 1 for
   traffic that cannot manoeuvre.)
 - Accuracies are such that the radius is the logged one.
+- Crewed traffic has no half-space: the law weighs risks (`companion.avoidance.kernels.crewed`). Its turn is
+  left out.
 - The second half-space of a track that fell silent (for the place where it would stand) is left out.
 - If no floor is configured, it is 15 m above home, or the height flown if that is less.
 
@@ -45,6 +47,7 @@ from companion.avoidance.walls import walls_of
 from companion.config import AvoidanceConfig, Config
 from companion.events import Decision, FenceArea, TrackView, VehicleParameters
 from companion.geometry import LocalFrame, Vec3
+from companion.traffic.adsb import SIGMA_DOWN_M
 from companion.traffic.right_of_way import CREWED, FREE, share_of
 
 KEPT_MPS = k.SLACK_MPS
@@ -227,6 +230,8 @@ class Explainer:
             found.append(HalfSpace(cause, False, (n, e, d), least, cause in decision.limits and bounds))
         for track, asked in zip(tracks, work.asked, strict=True):
             (n, e, d), least = k.plane_at(asked, 0)
+            if (n, e, d) == (0.0, 0.0, 0.0):  # crewed traffic
+                continue
             found.append(HalfSpace(track.track_id, True, (n, e, d), least, track.active))
         return tuple(found), made.solved
 
@@ -257,6 +262,8 @@ class Explainer:
             vertical_known=float(track.position_ned_m[2] != decision.position_ned_m[2]),
             crewed=float(crewed),
             growth_down_mps=(taller + QUANTUM_MPS * age) / ahead if taller > 0.0 else 0.0,
+            turn_rps=0.0,
+            sigma_down_m=SIGMA_DOWN_M if crewed else 0.0,
         )
 
     def _crewed(self, track: TrackView) -> bool:

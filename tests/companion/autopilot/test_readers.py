@@ -17,6 +17,8 @@ ORDER = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: "time_boot_ms x y z vx vy vz",
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: "time_usec lat lon alt eph epv vel cog fix_type satellites_visible "
     "alt_ellipsoid h_acc v_acc vel_acc hdg_acc yaw",
+    mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE: "time_boot_ms press_abs press_diff temperature "
+    "temperature_press_diff",
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: "time_unix_usec time_boot_ms",
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: "vtol_state landed_state",
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: "seq total mission_state mission_mode",
@@ -303,3 +305,14 @@ def test_callsigns_are_printable_ascii(field: bytes, text: str) -> None:
     wire = readers.unpack(246, bytes(27) + field.ljust(9, b"\0") + bytes(2))
     fields = (0, 1, 1, 0, 0, 0, 0, COORDS | CALLSIGN, *wire[8:])
     assert readers.adsb_vehicle(fields).callsign == text
+
+
+@pytest.mark.parametrize("pressure_hpa", [0.0, 299.0, 1101.0, math.nan, math.inf])
+def test_a_pressure_of_no_flight_is_refused(pressure_hpa: float) -> None:
+    with pytest.raises(PeerDataError, match="absolute pressure"):
+        read(mavlink.MAVLink_scaled_pressure_message(1500, pressure_hpa, 0.0, 2000))
+
+
+def test_the_absolute_pressure() -> None:
+    found = read(mavlink.MAVLink_scaled_pressure_message(1500, 954.5, 0.1, 2000))
+    assert found.pressure_hpa == pytest.approx(954.5)

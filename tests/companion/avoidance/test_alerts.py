@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import pytest
 
 from companion.avoidance.alerts import HOLD_S, Alerts, Level, approach
@@ -12,7 +13,7 @@ from companion.config import AvoidanceConfig
 from companion.events import AlertChanged, Say, Threat, TrackView
 
 PERIOD_S = 0.2
-CONFIG = AvoidanceConfig()
+CONFIG = AvoidanceConfig(crewed_horizontal_m=150.0, crewed_vertical_m=50.0)
 """Horizon 20 s, separation 10 m (crewed the ellipsoid around 150 m and 50 m)."""
 CREWED_M = math.sqrt(2.0) * 150.0
 OWN, SPEED = (0.0, 0.0, -50.0), (10.0, 0.0, 0.0)
@@ -177,7 +178,7 @@ def test_crewed_traffic_beside_us_has_the_wide_separation():
 
 def test_a_horizon_longer_than_that_of_crewed_traffic_holds_for_both():
     longer_s = horizon_s(CONFIG, crewed=True) + 10.0
-    looks = Looks(AvoidanceConfig(horizon_s=longer_s))
+    looks = Looks(msgspec.structs.replace(CONFIG, horizon_s=longer_s))
     for _ in range(3):
         looks.look(other(longer_s - 5.0, "DRONE"), other(longer_s - 5.0, "CREWED", crewed=True))
     assert looks.alerts.levels == {(False, "DRONE"): Level.CAUTION, (False, "CREWED"): Level.CAUTION}

@@ -253,8 +253,9 @@ def test_trap_floor_and_ceiling_never_contradict(acceleration: float, height_m: 
 @pytest.mark.parametrize("name", ["dmuca", "paper"])
 def test_nobody_asks_for_more_than_twice_the_greatest_speed(name: Any) -> None:
     """From within a large volume; the published law has no such bound."""
-    one = Law(AvoidanceConfig(law=name), LimitsConfig(), Trajectory([0, 9], [(0, 0, -50), (9, 0, -50)]))
-    inside = Neighbour("a", (30.0, 5.0, -50.0), (-40.0, 0.0, 0.0), 0.0, 5.0, crewed=True)
+    wide = AvoidanceConfig(law=name, conflict_radius_m=106.0)
+    one = Law(wide, LimitsConfig(), Trajectory([0, 9], [(0, 0, -50), (9, 0, -50)]))
+    inside = Neighbour("a", (30.0, 5.0, -50.0), (-40.0, 0.0, 0.0), 0.0, 5.0)
     one.decide(Situation(1.0, 1.0, (0.0, 0.0, -50.0), (1.0, 0.0, 0.0), 1.5, (inside,)))
     asked = k.plane_at(one._work.asked[0], 0).least
     assert asked == 10.0 if name == "dmuca" else asked > 20.0

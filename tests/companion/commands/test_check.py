@@ -305,7 +305,7 @@ def test_the_containment_is_told(make_config: Callable[..., Config]) -> None:
         ("green", "unproven traffic: 150 m to the side, 30 m below and 30 m above the leg; 600 s, then hold"),
         (
             "green",
-            "crewed traffic: 500 m to the side, 100 m above the leg, down to the floor; 600 s, then hold",
+            "crewed traffic: 500 m to the side, 96.25 m above the leg, down to the floor; 600 s, then hold",
         ),
         ("yellow", "crewed_side_m 500 m is less than what avoidance.crewed_horizontal_m needs to the side"),
     ]

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from companion.events import AdsbVehicle, Say
-from companion.traffic.adsb import BAROMETRIC_M, EXPIRE_S, MOST, SIGMA_MPS, AdsbTraffic
+from companion.traffic.adsb import (
+    BAROMETRIC_M,
+    EXPIRE_S,
+    MOST,
+    PRESSURE_SIGMA_M,
+    SIGMA_DOWN_M,
+    SIGMA_MPS,
+    AdsbTraffic,
+)
 from tests.support.place import HOME
 
 SEPARATION_M = 47.0
@@ -38,9 +48,10 @@ class Sky:
         self.separation_m = separation_m
         self.own_ned_m = (0.0, 0.0, OWN_DOWN_M)
         self.own_velocity_ned_mps = (0.0, 0.0, 0.0)
+        self.own_pressure_alt_m = None
 
     def take(self, now_s, *reports):
-        self.traffic.note_own(now_s, self.own_ned_m, self.own_velocity_ned_mps)
+        self.traffic.note_own(now_s, self.own_ned_m, self.own_velocity_ned_mps, self.own_pressure_alt_m)
         for one in reports:
             self.traffic.hear(one, now_s, HOME, self.separation_m)
 
@@ -88,6 +99,39 @@ def test_whether_a_barometric_altitude_separates_is_judged_from_our_height_now()
     sky.take(10.0, report(down_m=-450.0, geometric=False))
     assert sky.only(10.0, own_down_m=-50.0).vertical_known
     assert not sky.only(10.0, own_down_m=-200.0).vertical_known
+
+
+def test_pressure_altitudes_are_compared_with_our_own_pressure_altitude():
+    """The day's weather is in both: here they read 120 m more than the altitude above the sea is."""
+    sky = Sky()
+    own_msl_m = HOME.to_geodetic(0.0, 0.0, OWN_DOWN_M)[2]
+    sky.own_pressure_alt_m = own_msl_m + 120.0
+    sky.take(10.0, report(alt_m=own_msl_m + 120.0 + 40.0, geometric=False))
+    seen = sky.only(10.0)
+    assert seen.vertical_known
+    assert seen.position_ned_m[2] == pytest.approx(OWN_DOWN_M - 40.0)
+    assert seen.sigma_down_m == PRESSURE_SIGMA_M
+    sky.own_pressure_alt_m = None
+    sky.take(11.0)
+    assert not sky.only(11.0).vertical_known
+
+
+def test_a_geometric_altitude_is_compared_with_the_geometric_one():
+    sky = Sky()
+    sky.own_pressure_alt_m = 5000.0
+    sky.take(10.0, report(down_m=-60.0))
+    seen = sky.only(10.0)
+    assert (seen.position_ned_m[2], seen.sigma_down_m) == pytest.approx((-60.0, SIGMA_DOWN_M), abs=0.01)
+
+
+def test_a_turn_is_told_to_the_law():
+    """Three degrees a second to the right."""
+    sky = Sky()
+    for t in range(20):
+        course = math.radians(3.0 * t)
+        velocity = (50.0 * math.cos(course), 50.0 * math.sin(course), 0.0)
+        sky.take(10.0 + t, report(north_m=1000.0 + 50.0 * t, velocity_ned_mps=velocity))
+    assert sky.only(29.0).turn_rps == pytest.approx(math.radians(3.0), rel=1e-3)
 
 
 @pytest.mark.parametrize("geometric", [False, True])
@@ -328,7 +372,7 @@ def test_two_hundred_ghosts_do_not_displace_the_helicopter_that_we_are_about_to_
         if second or established:
             sky.take(now_s, helicopter)
         for k in range(MOST):
-            east_m = (-1) ** k * (600.0 + k)
+            east_m = (-1) ** k * (1_000.0 + k)
             sky.take(now_s, ghost(k, (10.0 * second, east_m), (10.0, 0.0, 0.0)))
         if second:
             assert ICAO in icaos(sky, now_s)

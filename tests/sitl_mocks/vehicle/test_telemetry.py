@@ -16,6 +16,7 @@ from companion.autopilot.readers import unpack
 from companion.autopilot.wire import CURRENT_MODE, FrameScanner, MavlinkReader, MavlinkWriter
 from companion.events import Firmware
 from companion.geometry import LocalFrame
+from companion.ownship import pressure_altitude_m
 from sitl_mocks.vehicle.firmware.behaviour import PX4 as PX4_MANNERS
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.firmware.param_tables import INT32
@@ -126,7 +127,7 @@ def test_globe_agrees_with_the_exact_conversion():
 @BOTH
 def test_position_messages_agree_with_truth_without_noise(airborne, firmware):
     b = airborne(firmware, start_position_ned_m=(300.0, -200.0, -60.0)).in_external()
-    for message_id in (24, 32, 33):
+    for message_id in (24, 29, 32, 33):
         b.interval(message_id, 10.0)
     found = {m.get_type(): m for m in b.run(4.0, 3.0, 2.0, -1.0)}
     truth, velocity = b.vehicle.position_ned_m, b.vehicle.velocity_ned_mps
@@ -136,6 +137,7 @@ def test_position_messages_agree_with_truth_without_noise(airborne, firmware):
     local, place, gps = (found[n] for n in ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "GPS_RAW_INT"))
     assert (local.x, local.y, local.z) == pytest.approx(truth, abs=0.5)
     assert (place.vx, place.vy, place.vz) == pytest.approx([100 * v for v in velocity], abs=30)
+    assert pressure_altitude_m(found["SCALED_PRESSURE"].press_abs) == pytest.approx(gps.alt * 1e-3, abs=0.5)
     assert gps.alt_ellipsoid - gps.alt == 47000
     assert gps.fix_type >= 3
     assert (gps.h_acc, gps.v_acc, gps.vel_acc) == (300, 300, 100)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from companion.authority.course import Course
-from companion.authority.influence.containment import Containment, _around, _hull
+from companion.authority.influence.containment import Containment, _hull, area_around
 from companion.avoidance import kernels as k
 from companion.avoidance.law import new_law
 from companion.avoidance.trajectory import Trajectory
@@ -79,7 +79,7 @@ def test_no_point_is_farther_from_the_hull_than_allowed_and_few_are_much_nearer(
     for _ in range(20):
         places = [tuple(p) for p in rng.uniform(-500.0, 500.0, (rng.integers(2, 8), 2)).tolist()]
         hull = np.array(_hull(places))
-        for wall in _around(places, 100.0):
+        for wall in area_around(places, 100.0):
             for corner in (wall[2:4], wall[4:6], 0.5 * (wall[2:4] + wall[4:6])):
                 ends = np.stack([hull, np.roll(hull, -1, axis=0)], axis=1)
                 along = ends[:, 1] - ends[:, 0]
@@ -146,8 +146,8 @@ def test_taken_again_where_an_earlier_push_left_it_the_volume_does_not_move():
 
 def test_outside_of_the_mission_when_taken_the_larger_volume_or_another_one_holds():
     flight = Flight(own=Own((300.0, 0.0))).lead((0.0, 0.0, 50.0))
-    assert flight.heights() == (15.0, 150.0)
-    assert flight.reach(1.0, 0.0) == pytest.approx(150.0, abs=6.0)  # 450 m from the mission
+    assert flight.heights() == (15.0, 146.25)
+    assert flight.reach(1.0, 0.0) == pytest.approx(462.5, abs=6.0)  # 762 m from the mission
     flight.own.place = (100.0, 0.0)  # back
     assert flight.heights(1.0) == (20.0, 80.0)
     away = Flight(own=Own((3000.0, 0.0), height_m=400.0)).lead((0.0, 0.0, 50.0), leg=((0.0, 400.0),))
@@ -159,10 +159,10 @@ def test_crewed_traffic_widens_it_until_the_aircraft_is_back():
     flight = Flight().lead((0.0, 0.0, 50.0))
     assert flight.heights() == (20.0, 80.0)
     flight.containment.note_conflict(0.0, crewed=True)
-    assert flight.heights(0.2) == (15.0, 150.0)
-    assert flight.reach(1.0, 0.0) == pytest.approx(450.0, abs=16.0)
+    assert flight.heights(0.2) == (15.0, 146.25)
+    assert flight.reach(1.0, 0.0) == pytest.approx(762.5, abs=26.0)
     flight.own.place = (400.0, 0.0)
-    assert flight.heights(60.0) == (15.0, 150.0)
+    assert flight.heights(60.0) == (15.0, 146.25)
     flight.own.place = (100.0, 0.0)
     assert flight.heights(61.0) == (20.0, 80.0)
     assert flight.reach(1.0, 0.0) == pytest.approx(50.0, abs=6.0)

@@ -154,14 +154,14 @@ def test_regular_messages_are_no_silence(every_s: float, silent_s: float) -> Non
         ({"age_s": 2.0, "growth_mps": 1.5}, 10.0 + 4.0 * 5.0 + 1.5 * 6.0),
         ({"age_s": 2.0, "growth_mps": 0.05}, 10.0 + 4.0 * 5.0 + 0.4),
         ({"age_s": 0.0, "growth_mps": 3.0}, 10.0 + 4.0 * 5.0 + 12.0),
-        ({"age_s": 2.0, "growth_mps": 1.5, "crewed": True}, 150.0 * math.sqrt(2.0) + 4.0 * 5.0 + 9.0),
+        ({"age_s": 2.0, "growth_mps": 1.5, "crewed": True}, 610.0 * math.sqrt(2.0) + 4.0 * 5.0 + 9.0),
     ],
 )
 def test_radius(keys: dict[str, Any], radius_m: float) -> None:
     other = Neighbour("b", (900.0, 0.0, -50.0), (0.0, 0.0, 0.0), sigma_m=3.0, **{"sigma_mps": 0.0, **keys})
     view = Situation(0.0, 0.0, (0.0, 0.0, -50.0), (4.0, 0.0, 0.0), 4.0, [other])
     assert own().decide(view).tracks[0].radius_m == pytest.approx(radius_m, rel=1e-12)
-    paper = 150.0 * math.sqrt(2.0) if keys.get("crewed") else 10.0
+    paper = 610.0 * math.sqrt(2.0) if keys.get("crewed") else 10.0
     assert own(law="paper").decide(view).tracks[0].radius_m == pytest.approx(paper, rel=1e-12)
 
 
@@ -183,10 +183,10 @@ def test_the_share_that_is_ours(share: float) -> None:
 
 
 def test_separations_of_crewed_traffic() -> None:
-    """The ellipsoid touches the cylinder's rim, 150 m aside and 50 m above, and looks farther ahead."""
+    """The ellipsoid touches the cylinder's rim, 610 m aside and 77 m above, and looks farther ahead."""
     avoidance = AvoidanceConfig()
     radius, scale = separation_m(avoidance, True)
-    assert math.hypot(150.0, scale * 50.0) == pytest.approx(radius)
+    assert math.hypot(610.0, scale * 77.0) == pytest.approx(radius)
     assert horizon_s(avoidance, True) == CREWED_HORIZON_S
     assert separation_m(avoidance, False) == (10.0, 0.85)
     assert horizon_s(avoidance, False) == 20.0
@@ -217,7 +217,7 @@ def crewed(start: Any, velocity: Any) -> tuple[Hears, Any]:
 @pytest.mark.parametrize("bearing_deg", range(0, 360, 45))
 @pytest.mark.parametrize("climb_mps", [0.0, 2.0])
 def test_the_cylinder_of_crewed_traffic_is_kept(bearing_deg: int, climb_mps: float) -> None:
-    """50 m/s through the middle of an aircraft of 5 m/s: 150 m aside, or 50 m in height."""
+    """50 m/s through the middle of an aircraft of 5 m/s: 610 m aside, or 77 m in height."""
     angle, meets_s = math.radians(bearing_deg), 90.0
     velocity = (50.0 * math.cos(angle), 50.0 * math.sin(angle), -climb_mps)
     at = (2.0 * meets_s, 0.0, -150.0)
@@ -227,4 +227,4 @@ def test_the_cylinder_of_crewed_traffic_is_kept(bearing_deg: int, climb_mps: flo
     flight = fly(Law(AvoidanceConfig(), LIMITS, path), 130.0, velocity=(2.0, 0.0, 0.0), hears=hears)
     gap = flight.position - place(flight.time_s)
     aside, height = np.hypot(gap[:, 0], gap[:, 1]), abs(gap[:, 2])
-    assert np.maximum(aside / 150.0, height / 50.0).min() >= 1.0
+    assert np.maximum(aside / 610.0, height / 77.0).min() >= 1.0

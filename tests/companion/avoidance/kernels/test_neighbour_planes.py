@@ -59,7 +59,8 @@ def on_right(*neighbours: k.Other, **more: Any) -> bool:
 def other(position: Any, velocity: Any = (0.0, 0.0, 0.0), age_s: float = 0.0, **more: float) -> k.Other:
     """Positions are given from ours."""
     values = {"sigma_m": 0.0, "sigma_mps": 0.0, "growth_mps": 0.0, "silent": 0.0, "share": 0.5}
-    values |= {"vertical_known": 1.0, "crewed": 0.0, "growth_down_mps": 0.0, **more}
+    values |= {"vertical_known": 1.0, "crewed": 0.0, "growth_down_mps": 0.0, "turn_rps": 0.0}
+    values |= {"sigma_down_m": 0.0, **more}
     n, e, d = (a + b for a, b in zip(position, PLACE, strict=True))
     return k.Other(n, e, d, *velocity, age_s, **values)
 
@@ -162,15 +163,23 @@ def test_volumes_are_as_wide_as_both_radii_and_the_margin(east_m: float, conflic
 
 
 def test_crewed_aircraft_have_volumes_of_their_own() -> None:
-    """An ellipsoid around the cylinder of both separations, and a longer horizon."""
+    """An ellipsoid around the cylinder of both separations, and a longer horizon, in the published law."""
     sizes = {"crewed_horizontal_m": 100.0, "crewed_vertical_m": 50.0}
     _, (seen,), _, _ = planes_of(other((300.0, 0.0, 0.0), crewed=1.0), **sizes)
     assert seen.radius_m == pytest.approx(100.0 * math.sqrt(2.0) + 2.0)
-    for down_m, conflict in ((71.0, True), (72.0, False)):
-        assert planes_of(other((150.0, 0.0, down_m), crewed=1.0), **sizes)[3] == conflict
-    # Looked ahead for 90 s: at 2 m/s, 180 m and the radius.
-    for north_m, conflict in ((323.0, True), (324.0, False)):
-        assert planes_of(other((north_m, 0.0, 0.0), crewed=1.0), **sizes)[3] == conflict
+    for north_m, conflict in ((140.0, True), (300.0, False)):
+        found = planes_of(
+            other((north_m, 0.0, 0.0), crewed=1.0), law="paper", wanted=(0.5, 0.0, 0.0), **sizes
+        )
+        assert found[3] == conflict
+
+
+def test_crewed_aircraft_ask_for_no_plane() -> None:
+    """Another part of the law avoids them."""
+    planes, (seen,), asked, conflict = planes_of(other((100.0, 0.0, 0.0), (-50.0, 0.0, 0.0), crewed=1.0))
+    assert (seen.conflict, conflict) == (0.0, False)
+    assert not asked.any()
+    assert all(planes[0, :3] @ v > planes[0, 3] for v in np.eye(3) * -100.0)
 
 
 @pytest.mark.parametrize(("east_m", "right"), [(5.1, True), (4.9, False), (0.0, False), (-8.0, False)])

@@ -56,7 +56,7 @@ def test_the_campaign_flies_the_same(kind, aside_m, climb_mps, horizontal_m):
         np.stack([OWN.arrays[1], other.arrays[1]]), k.NO_WALLS, np.array([settings, crewed]), kinds, wanted,
         outcome.new_log(2), np.zeros((2, 2, outcome.PAIR_ENTRIES)), result,
     )  # fmt: skip
-    received = (flight.GEOMETRIC if kind == "geometric" else flight.BAROMETRIC), 1e6
+    received = flight.Received(flight.GEOMETRIC if kind == "geometric" else flight.BAROMETRIC, 1e6, 0.0)
     found, numbers = flight.fly(
         np.random.default_rng(3), conditions, OWN.arrays, (position, velocity), settings, received
     )
@@ -65,6 +65,39 @@ def test_the_campaign_flies_the_same(kind, aside_m, climb_mps, horizontal_m):
     assert numbers[flight.F_DEVIATION] == pytest.approx(result[outcome.F_DEVIATION], abs=1e-6)
     assert numbers[flight.F_BACK] == pytest.approx(result[outcome.F_BACK], abs=1e-6)
     assert result[outcome.F_DEVIATION] > 20.0 or aside_m == 300.0  # it has to avoid
+
+
+def test_it_goes_below_crewed_traffic_first_and_returns():
+    """40 m above and straight over it: down, hardly aside, and at the end on the path again."""
+    _, position, velocity = crossing(0.0, 0.0)
+    position[:, 2] = -120.0
+    settings = settings_of(AvoidanceConfig(), LimitsConfig(max_speed_mps=15.0), OWN)
+    world = msgspec.structs.replace(EXACT, floor_m=20.0, ceiling_m=150.0)
+    trace, result = flight.fly(
+        np.random.default_rng(3), world.conditions(AvoidanceConfig().period_s), OWN.arrays,
+        (position, velocity), settings, flight.Received(flight.GEOMETRIC, 1e6, 0.0),
+    )  # fmt: skip
+    assert trace[:, 2].max() > -45.0
+    assert trace[:, 2].min() > -81.0
+    away = np.hypot(*(position - trace)[:, :2].T)
+    assert (np.abs((position - trace)[:, 2]) / 76.2)[away < 609.6].min() > 1.0
+    assert result[flight.F_BACK] < 5.0
+
+
+def test_a_pressure_altitude_beside_ours_counts_with_its_error():
+    """An aircraft that seems 100 m higher than it is is not passed to the side; without the error it is."""
+    _, position, velocity = crossing(10.0, 0.0)
+    position[:, 2] = -100.0
+    settings = settings_of(AvoidanceConfig(), LimitsConfig(max_speed_mps=15.0), OWN)
+    deviations = []
+    for error_m in (0.0, 300.0):
+        _, result = flight.fly(
+            np.random.default_rng(3), EXACT.conditions(AvoidanceConfig().period_s), OWN.arrays,
+            (position, velocity), settings, flight.Received(flight.PRESSURE, 1e6, error_m),
+        )  # fmt: skip
+        deviations.append(result[flight.F_DEVIATION])
+    assert deviations[0] > 30.0
+    assert deviations[1] < 1.0
 
 
 def test_a_pressure_altitude_counts_only_where_it_is_far_from_ours():
@@ -78,7 +111,7 @@ def test_a_pressure_altitude_counts_only_where_it_is_far_from_ours():
         for received in (flight.GEOMETRIC, flight.BAROMETRIC):
             _, result = flight.fly(
                 np.random.default_rng(3), EXACT.conditions(AvoidanceConfig().period_s), OWN.arrays,
-                (position, velocity), settings, (received, 1e6),
+                (position, velocity), settings, flight.Received(received, 1e6, 0.0),
             )  # fmt: skip
             deviations.append(result[flight.F_DEVIATION])
         assert deviations[0] < 1.0

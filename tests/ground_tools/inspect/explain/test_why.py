@@ -9,7 +9,7 @@ from companion.avoidance import kernels as k
 from companion.avoidance.kernels.neighbours import volume_of
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
-from companion.config import AvoidanceConfig, Config, IdentityConfig, LimitsConfig
+from companion.config import Config, IdentityConfig, LimitsConfig
 from companion.core import Companion
 from companion.events import Decision, FenceArea
 from companion.ownship import Ownship
@@ -84,22 +84,13 @@ def test_a_turn_is_the_smallest_that_is_allowed():
     assert math.hypot(*right.velocity_ned_mps) == pytest.approx(5.0)
 
 
-def test_crewed_traffic_is_left_all_of_the_work():
-    """The whole of what is needed is ours: twice as far from the own velocity as of an equal."""
-    near = {"position_ned_m": (800.0, 30.0, -50.0), "adsb": True, "age_s": 0.0}
-    crewed = alternatives(decision(track("ABCDEF", radius_m=260.0, **near)), CONFIG)
-    space = next(s for s in crewed.half_spaces if s.track)
-    shift = space.short_mps((5.0, 0.0, 0.0))
-    config = Config(
-        identity=CONFIG.identity,
-        limits=CONFIG.limits,
-        # The same volume and horizon, of an equal.
-        avoidance=AvoidanceConfig(conflict_radius_m=125.0, horizon_s=90.0, crewed_horizontal_m=1000.0),
-    )
-    equal = alternatives(decision(track("ABCDEF", radius_m=260.0, **near)), config)
-    other = next(s for s in equal.half_spaces if s.track)
-    assert shift > 0.5
-    assert shift == pytest.approx(2.0 * other.short_mps((5.0, 0.0, 0.0)), rel=0.05)
+def test_crewed_traffic_has_no_half_space_and_the_law_still_leaves_it():
+    """It comes towards us, 30 m aside; the law goes down, and sideways."""
+    near = {"position_ned_m": (800.0, 30.0, -50.0), "velocity_ned_mps": (-40.0, 0.0, 0.0), "adsb": True}
+    look = alternatives(decision(track("ABCDEF", radius_m=900.0, age_s=0.0, **near)), CONFIG)
+    assert not [space for space in look.half_spaces if space.track]
+    north, east, down = look.alternatives[0].velocity_ned_mps
+    assert (north, east, down) != pytest.approx((5.0, 0.0, 0.0), abs=0.5)
 
 
 def test_an_unknown_height_is_no_way_out():
@@ -156,8 +147,9 @@ def test_the_volume_of_a_track_is_the_one_that_was_logged(crewed, growth_mps, gr
     own = k.Own(k.Vector(0, 0, -50), k.Vector(5, 0, 0), 1.5, 0.0, 0.0, math.inf, -math.inf)
     growths = (0.0, 0.0) if crewed else (growth_mps, growth_down_mps)
     there = k.Other(
-        200, 0, -51, -5, 0, 0, 1.5, 3.0, 0.4, growths[0], 0.0, 0.5, 1.0, float(crewed), growths[1]
-    )
+        200, 0, -51, -5, 0, 0, 1.5, 3.0, 0.4, growths[0], 0.0, 0.5, 1.0, float(crewed), growths[1],
+        0.0, 0.0,
+    )  # fmt: skip
     flown = volume_of(there, own, settings)
     view = track(radius_m=flown.radius, height_m=flown.radius / flown.scale, age_s=1.5, adsb=crewed)
     again = Explainer(CONFIG)._neighbour(view, decision(view), 1.5)

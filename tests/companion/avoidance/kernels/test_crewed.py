@@ -1,0 +1,156 @@
+"""Crewed traffic: which velocity is chosen, and what it costs."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.avoidance import kernels as k
+from companion.avoidance.law import settings_of
+from companion.avoidance.trajectory import Trajectory
+from companion.config import AvoidanceConfig, LimitsConfig
+
+HOVER = Trajectory([0.0, 500.0], [(0.0, 0.0, -80.0), (0.0, 0.0, -80.0)])
+NORTH = Trajectory([0.0, 500.0], [(0.0, 0.0, -80.0), (2500.0, 0.0, -80.0)])
+FLOOR_D, CEILING_D = -20.0, -150.0
+
+
+def other(position: Any, velocity: Any = (0.0, 0.0, 0.0), **more: float) -> k.Other:
+    values = {"age_s": 0.0, "sigma_m": 15.0, "sigma_mps": 1.5, "growth_mps": 0.0, "silent": 0.0, "share": 1.0}
+    values |= {"vertical_known": 1.0, "crewed": 1.0, "growth_down_mps": 0.0, "turn_rps": 0.0}
+    return k.Other(*map(float, (*position, *velocity)), **{**values, "sigma_down_m": 15.0, **more})
+
+
+def wish_of(
+    *others: k.Other, path: Trajectory = HOVER, walls: Any = k.NO_WALLS, at: Any = (0.0, 0.0, -80.0)
+) -> tuple[tuple[float, float, float], bool]:
+    """The velocity that is chosen at 0 s, and whether it is another than the path's."""
+    table, work = np.zeros((len(others), k.OTHER_COLUMNS)), k.workspace(len(walls), len(others))
+    for row, one in enumerate(others):
+        k.put_other(table, row, one)
+    velocity = k.Vector(*path.velocity(0.0))
+    own = k.Own(k.Vector(*at), velocity, 1.5, 0.0, 0.0, FLOOR_D, CEILING_D)
+    settings = settings_of(AvoidanceConfig(), LimitsConfig(max_speed_mps=10.0), path)
+    wish, gives_way = k.crewed_wish(
+        table, len(others), own, velocity, k.Path(*path.arrays), 0.0, walls, settings, velocity, work.ahead
+    )
+    return tuple(wish), bool(gives_way)
+
+
+def test_without_crewed_traffic_nothing_changes() -> None:
+    """Bit for bit, however near a small aircraft is."""
+    wish, gives_way = wish_of(other((5.0, 0.0, -80.0), crewed=0.0), path=NORTH)
+    assert (wish, gives_way) == (NORTH.velocity(0.0), False)
+
+
+@pytest.mark.parametrize("far", [(8000.0, 0.0, -80.0), (0.0, 3000.0, -80.0), (0.0, 0.0, -400.0)])
+def test_one_that_stays_far_changes_nothing(far: Any) -> None:
+    assert not wish_of(other(far), path=NORTH)[1]
+
+
+def test_down_comes_first() -> None:
+    """It will pass 45 m above: going down suffices."""
+    (n, e, d), gives_way = wish_of(other((2200.0, 0.0, -125.0), (-40.0, 0.0, 0.0)))
+    assert gives_way
+    assert d == pytest.approx(2.0)
+    assert math.hypot(n, e) < 0.1
+
+
+def test_one_below_is_not_passed_below() -> None:
+    """It comes 45 m below us, at 35 m."""
+    (n, e, d), gives_way = wish_of(other((1500.0, 0.0, -35.0), (-40.0, 0.0, 0.0)))
+    assert gives_way
+    assert d <= 0.0
+    assert d < 0.0 or math.hypot(n, e) > 1.0
+
+
+@pytest.mark.parametrize("known", [0.0, 1.0])
+def test_who_is_near_already_is_left(known: float) -> None:
+    """It flies beside us, 90 m to the west and 20 m lower."""
+    beside = other((0.0, -90.0, -60.0), (5.0, 0.0, 0.0), vertical_known=known)
+    (_, e, d), gives_way = wish_of(beside, path=NORTH)
+    assert gives_way
+    assert e > 1.0 or d < -1.0
+    assert e > 1.0 or known
+
+
+def test_an_unknown_height_leaves_the_side() -> None:
+    """And away from the line on which it comes, to the nearer side of it."""
+    for side in (-150.0, 150.0):
+        coming = other((1500.0, side, -300.0), (-40.0, 0.0, 0.0), vertical_known=0.0)
+        (_, e, d), gives_way = wish_of(coming)
+        assert gives_way
+        assert abs(d) < 1e-9
+        assert e * side < 0.0
+
+
+def test_a_turn_is_flown_ahead() -> None:
+    """It flies north, 900 m west of us, and is in a turn to the right that leads over us."""
+    near = {"velocity": (40.0, 0.0, 0.0), "vertical_known": 0.0}
+    straight, _ = wish_of(other((-600.0, -900.0, -80.0), **near))
+    turning, gives_way = wish_of(other((-600.0, -900.0, -80.0), turn_rps=math.radians(3.0), **near))
+    assert gives_way
+    assert turning != pytest.approx(straight, abs=1.0)
+
+
+@pytest.mark.parametrize("speed_mps", [0.0, 1.0, 3.0])
+def test_before_a_slow_one_the_path_waits(speed_mps: float) -> None:
+    """A helicopter that hovers ahead, or comes slowly, is not fled from at full speed."""
+    (n, e, _), gives_way = wish_of(other((900.0, 0.0, -80.0), (-speed_mps, 0.0, 0.0)), path=NORTH)
+    assert gives_way
+    assert math.hypot(n, e) < 10.0 - 1e-9
+
+
+def test_a_wall_is_no_way_out() -> None:
+    """What flies east because a slower aircraft comes from the west stays inside of an area 60 m wide."""
+    coming = other((1500.0, -200.0, -80.0), (-40.0, 0.0, 0.0), vertical_known=0.0)
+    assert wish_of(coming)[0][1] > 5.0
+    corners = [(-3000.0, -3000.0), (3000.0, -3000.0), (3000.0, 30.0), (-3000.0, 30.0)]
+    walls = np.array(
+        [
+            k.Wall(0.0, k.IN_POLYGON, *a, *b, 0.0)
+            for a, b in zip(corners, (*corners[1:], corners[0]), strict=True)
+        ]
+    )
+    (n, e, _), _ = wish_of(coming, walls=walls)
+    assert (n, e) != pytest.approx(wish_of(coming)[0][:2])
+
+
+def test_two_cost_more_than_one() -> None:
+    """Between two that pass on both sides, above, it goes down."""
+    two = [other((1500.0, side, -110.0), (-40.0, 0.0, 0.0)) for side in (-300.0, 300.0)]
+    (_, _, d), gives_way = wish_of(*two)
+    assert gives_way
+    assert d > 1.5
+
+
+def test_of_a_crowd_those_count_that_could_come_first() -> None:
+    """However many others are farther away, and wherever in the table it stands."""
+    crowd = [other((5000.0, 10.0 * i, -80.0), (-40.0, 0.0, 0.0)) for i in range(60)]
+    near = other((1500.0, 100.0, -85.0), (-40.0, 0.0, 0.0))
+    for row in (0, 30, 60):
+        wish, gives_way = wish_of(*crowd[:row], near, *crowd[row:])
+        assert gives_way
+        assert wish != NORTH.velocity(0.0)
+    assert not wish_of(*crowd)[1]
+
+
+@pytest.mark.parametrize("degrees", [-12.0, 0.0, 3.0])
+def test_turn_rates(degrees: float) -> None:
+    rate, before = 0.0, (30.0, 0.0, 0.0)
+    for t in range(1, 30):
+        course = math.radians(degrees * t)
+        now = (30.0 * math.cos(course), 30.0 * math.sin(course), 1.0)
+        rate = k.turn_rate(rate, before, now, 1.0)
+        before = now
+    assert math.degrees(rate) == pytest.approx(degrees, abs=1e-4)
+
+
+def test_turn_rates_are_bounded_and_those_of_hovering_aircraft_are_zero() -> None:
+    assert k.turn_rate(0.0, (30.0, 0.0, 0.0), (-30.0, 1.0, 0.0), 0.1) <= 0.35
+    assert k.turn_rate(0.0, (0.5, 0.0, 0.0), (0.0, 0.5, 0.0), 1.0) == 0.0
+    assert k.turn_rate(0.1, (30.0, 0.0, 0.0), (0.0, 30.0, 0.0), 0.0) == 0.1
+    assert k.turn_rate(0.0, (0.0, 0.0, 0.0), (0.0, 30.0, 0.0), math.inf) == 0.0
