@@ -93,7 +93,7 @@ class Judgement:
     def configure(self, avoidance: AvoidanceConfig) -> None:
         """Use other separations and horizons from now on."""
         self._separations = separation_m(avoidance, False), separation_m(avoidance, True)
-        self._ahead_s = tuple(_HORIZONS * horizon_s(avoidance, crewed) for crewed in (False, True))
+        self._ahead_s = tuple(HORIZONS * horizon_s(avoidance, crewed) for crewed in (False, True))
 
     def loss_s(self, position: Vec3, velocity: Vec3) -> float:
         """Time until separation from an aircraft would be lost that is there now; infinite: it would not."""
@@ -107,7 +107,7 @@ class Judgement:
         if not motion.vertical_known:
             away, closing = (away[0], away[1], 0.0), (closing[0], closing[1], 0.0)
         radius, scale = self._separations[motion.crewed]
-        way = approach(away, closing, radius + motion.margin_m + _NEARLY_M, scale)
+        way = approach(away, closing, radius + motion.margin_m + NEARLY_M, scale)
         return away, way, way.loss_s <= self._ahead_s[motion.crewed]
 
     def standing(
@@ -125,8 +125,8 @@ class Judgement:
         if not (threat or was_threat):
             tier = trust + 1 if trust is Trust.PROVEN or (trust and not together) else trust
             return Standing(tier, allowance, 0, 0, (0, 0, int(distance_m))), False
-        late = bisect_left(_LOSS_S, way.loss_s)
-        part = len(_RANGE_M) * late + min(bisect_left(_RANGE_M, distance_m), len(_RANGE_M) - 1)
+        late = bisect_left(LOSS_S, way.loss_s)
+        part = len(RANGE_M) * late + min(bisect_left(RANGE_M, distance_m), len(RANGE_M) - 1)
         loss = int(min(2.0 * way.loss_s, 1000.0))
         tier = THREAT if threat else THREAT - 1
         return Standing(tier, allowance, _sector(away), part, (-trust, loss, int(distance_m))), threat
@@ -145,13 +145,13 @@ class Judgement:
         away, closing = rows[:, :3] - self.position, np.asarray(self.velocity) - rows[:, 3:6]
         level = np.isnan(away[:, 2])
         away[level, 2] = closing[level, 2] = 0.0
-        azimuth = np.floor(_AZIMUTHS * (0.5 + np.arctan2(away[:, 1], away[:, 0]) / math.tau))
+        azimuth = np.floor(AZIMUTHS * (0.5 + np.arctan2(away[:, 1], away[:, 0]) / math.tau))
         flat = np.abs(away[:, 2]) <= 0.6 * np.hypot(away[:, 0], away[:, 1])
         height = np.where(flat, 0, np.where(away[:, 2] > 0.0, 1, 2))
         distance = np.sqrt((away * away).sum(axis=1))
         radius, scale = self._separations[False]
-        margin = np.maximum(LEAST_MARGIN_M, SIGMAS * np.hypot(rows[:, 6], _OWN_SIGMA_M))
-        margin += _NEARLY_M + _AGE_S * np.sqrt((closing * closing).sum(axis=1))
+        margin = np.maximum(LEAST_MARGIN_M, SIGMAS * np.hypot(rows[:, 6], OWN_SIGMA_M))
+        margin += NEARLY_M + _AGE_S * np.sqrt((closing * closing).sum(axis=1))
         away[:, 2] *= scale
         closing[:, 2] *= scale
         towards = (away * closing).sum(axis=1)
@@ -162,10 +162,10 @@ class Judgement:
         loss[~((towards > 0.0) & (root >= 0.0))] = np.inf
         loss[gap2 <= 0.0] = 0.0
         loss[~(loss <= self._ahead_s[False])] = np.inf
-        late = np.searchsorted(_LOSS_S, loss)
-        part = len(_RANGE_M) * late + np.minimum(np.searchsorted(_RANGE_M, distance), len(_RANGE_M) - 1)
+        late = np.searchsorted(LOSS_S, loss)
+        part = len(RANGE_M) * late + np.minimum(np.searchsorted(RANGE_M, distance), len(RANGE_M) - 1)
         threat = np.isfinite(loss)
-        sector = 3 * (azimuth.astype(np.int64) % _AZIMUTHS) + height
+        sector = 3 * (azimuth.astype(np.int64) % AZIMUTHS) + height
         return loss, distance, np.where(threat, sector, 0), np.where(threat, part, 0)
 
 
@@ -174,29 +174,34 @@ HOLD_S = 6.0
 THREAT = 5
 """Tier of threats. Below are those that were threats shortly before, then those that are proven, established,
 established that appeared together, and fresh."""
-_HORIZONS = 1.5
-_NEARLY_M = 4.0
+HORIZONS = 1.5
+"""A conflict within this many horizons of the law is a threat."""
+NEARLY_M = 4.0
 """Added to the volume, so that an aircraft that is being passed at its border counts as a threat."""
-_OWN_SIGMA_M = 2.0
+OWN_SIGMA_M = 2.0
+"""Assumed standard deviation of the own position."""
 _AGE_S = 1.0
 """Age of a message that `urgency` allows for."""
-_LOSS_S = (1.0, 4.0, 8.0, 15.0)
-_RANGE_M = (30.0, 60.0, 120.0, 240.0, math.inf)
-_AZIMUTHS = 12
+LOSS_S = (1.0, 4.0, 8.0, 15.0)
+"""Bounds of the classes of the time to loss of separation."""
+RANGE_M = (30.0, 60.0, 120.0, 240.0, math.inf)
+"""Bounds of the classes of distance."""
+AZIMUTHS = 12
+"""Number of classes of direction."""
 _ALLOWANCES = 32
 
 
 def margin_m(sigma_m: float, sigma_mps: float, age_s: float, growth_m: float) -> float:
     """Margin for declared errors and manoeuvres, as the law has it with an own error of 2 m."""
     drift = sigma_mps * age_s
-    sigma = math.sqrt(sigma_m * sigma_m + drift * drift + _OWN_SIGMA_M * _OWN_SIGMA_M)
+    sigma = math.sqrt(sigma_m * sigma_m + drift * drift + OWN_SIGMA_M * OWN_SIGMA_M)
     return max(LEAST_MARGIN_M, SIGMAS * sigma) + growth_m
 
 
 def _sector(away: Vec3) -> int:
     """Direction from us: one of twelve azimuths, below, level with or above us."""
     level = math.hypot(away[0], away[1])
-    azimuth = int(_AZIMUTHS * (0.5 + math.atan2(away[1], away[0]) / math.tau)) % _AZIMUTHS
+    azimuth = int(AZIMUTHS * (0.5 + math.atan2(away[1], away[0]) / math.tau)) % AZIMUTHS
     height = 0 if abs(away[2]) <= 0.6 * level else (1 if away[2] > 0.0 else 2)
     return 3 * azimuth + height
 

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import config, njit
-from numba.core.runtime.nrt import rtsys
 
 from companion.avoidance import kernels, law
-from companion.avoidance.kernels.compiled import LoadingCache
+from companion.avoidance.kernels.compiled import CacheWithMemory
 from companion.traffic import adsb, right_of_way, signal_strength
 from sitl_mocks.channel import parameters as channel
 
@@ -26,14 +25,6 @@ SOURCES = (
 """Source files whose functions and constants are compiled into functions of other files."""
 _STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False, "cache": True}
-
-
-class _CacheWithMemory(LoadingCache):
-    """Cache that loads functions with numba's memory runtime, too."""
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        rtsys.initialize(target_context)
-        return super().load_overload(sig, target_context)
 
 
 def compiled(**options: Any) -> Callable[[Function], Function]:
@@ -52,7 +43,7 @@ def compiled(**options: Any) -> Callable[[Function], Function]:
         try:
             made: Any = njit(**(_OPTIONS | options))(function)
             if options.get("cache", True) and hasattr(made, "_cache"):
-                made._cache = _CacheWithMemory(function)  # type: ignore[no-untyped-call]
+                made._cache = CacheWithMemory(function)  # type: ignore[no-untyped-call]
             return cast(Function, made)
         finally:
             vars(config)["CACHE_DIR"] = held

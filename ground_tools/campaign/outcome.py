@@ -159,7 +159,7 @@ def beyond(fence: Floats, n: float, e: float) -> float:
 
 
 @_compiled
-def _least_distance2(position: Floats, before: Floats, i: int, j: int) -> float:
+def least_distance2(position: Floats, before: Floats, i: int, j: int) -> float:
     """Square of the least distance of two aircraft during one step, on straight lines between its ends."""
     px, py, pz = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1], before[j, 2] - before[i, 2]
     dx, dy, dz = (
@@ -238,7 +238,7 @@ def _measure_crewed(settings: Floats, kinds: Floats, position: Floats, result: F
 def _measure_pairs(now: float, position: Floats, before: Floats, least2: Floats, result: Floats) -> None:
     for i in range(len(position)):
         for j in range(i):
-            near2 = _least_distance2(position, before, i, j)
+            near2 = least_distance2(position, before, i, j)
             if near2 < least2[i, j]:
                 least2[i, j] = near2
                 if near2 < result[F_SEPARATION]:

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import config
-from numba.core.runtime.nrt import rtsys
 
-from companion.avoidance.kernels.compiled import LoadingCache
+from companion.avoidance.kernels.compiled import CacheWithMemory
 from ground_tools.campaign import compiled as campaign
 
 Function = TypeVar("Function")
@@ -28,14 +27,6 @@ SOURCES = (
 _STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
 
 
-class _CacheWithMemory(LoadingCache):
-    """Cache that loads functions with numba's memory runtime, which random generators need."""
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        rtsys.initialize(target_context)
-        return super().load_overload(sig, target_context)
-
-
 def compiled(**options: Any) -> Callable[[Function], Function]:
     """`ground_tools.campaign.compiled.compiled` with a cache for each state of the city's files, too."""
 
@@ -46,7 +37,7 @@ def compiled(**options: Any) -> Callable[[Function], Function]:
         try:
             if hasattr(made, "enable_caching"):
                 made.enable_caching()
-                made._cache = _CacheWithMemory(function)  # type: ignore[no-untyped-call]
+                made._cache = CacheWithMemory(function)  # type: ignore[no-untyped-call]
             return cast(Function, made)
         finally:
             vars(config)["CACHE_DIR"] = held

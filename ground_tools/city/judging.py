@@ -14,13 +14,13 @@ from companion.avoidance.kernels.neighbours import GROWTH_AHEAD_S
 from companion.avoidance.law import LEAST_MARGIN_M, SIGMAS, horizon_s, separation_m
 from companion.config import AvoidanceConfig
 from companion.traffic.eviction import (
-    _AZIMUTHS,
-    _HORIZONS,
-    _LOSS_S,
-    _NEARLY_M,
-    _OWN_SIGMA_M,
-    _RANGE_M,
+    AZIMUTHS,
     HOLD_S,
+    HORIZONS,
+    LOSS_S,
+    NEARLY_M,
+    OWN_SIGMA_M,
+    RANGE_M,
     THREAT,
 )
 from companion.traffic.track import ESTABLISHED
@@ -31,8 +31,8 @@ from ground_tools.city.tables import NOBODY, Tracks
 
 # Columns of a standing: tier, direction, class of time and range, then the sort key within a part.
 S_TIER, S_SECTOR, S_PART, S_TRUST, S_LOSS, S_DISTANCE, COLUMNS = range(7)
-_PARTS = len(_RANGE_M) * (len(_LOSS_S) + 1)
-PLACES = max(3 * _AZIMUTHS, _PARTS)
+_PARTS = len(RANGE_M) * (len(LOSS_S) + 1)
+PLACES = max(3 * AZIMUTHS, _PARTS)
 _compiled = compiled()
 
 
@@ -47,7 +47,7 @@ class Judge(NamedTuple):
 def judge_of(avoidance: AvoidanceConfig) -> Judge:
     """The judge of a law."""
     radius, scale = separation_m(avoidance, False)
-    return Judge(radius, scale, _HORIZONS * horizon_s(avoidance, False))
+    return Judge(radius, scale, HORIZONS * horizon_s(avoidance, False))
 
 
 @_compiled
@@ -89,9 +89,9 @@ def loss_s(
         v[i, 2] + f[i, 2] - message[M_VELOCITY + 2],
     )
     drift = world.sigma_mps * age
-    sigma = math.sqrt(world.declared_m * world.declared_m + drift * drift + _OWN_SIGMA_M * _OWN_SIGMA_M)
+    sigma = math.sqrt(world.declared_m * world.declared_m + drift * drift + OWN_SIGMA_M * OWN_SIGMA_M)
     margin = max(LEAST_MARGIN_M, SIGMAS * sigma) + growth_mps * (age + GROWTH_AHEAD_S)
-    radius = judge.radius_m + margin + _NEARLY_M
+    radius = judge.radius_m + margin + NEARLY_M
     return _loss(_away(i, message, age, craft), closing, radius, judge.scale)
 
 
@@ -129,16 +129,16 @@ def _stand(
         standing[S_SECTOR] = standing[S_PART] = standing[S_TRUST] = standing[S_LOSS] = 0
         return
     late = 0
-    while late < len(_LOSS_S) and _LOSS_S[late] < loss:
+    while late < len(LOSS_S) and LOSS_S[late] < loss:
         late += 1
     ranged = 0
-    while ranged < len(_RANGE_M) - 1 and _RANGE_M[ranged] < distance:
+    while ranged < len(RANGE_M) - 1 and RANGE_M[ranged] < distance:
         ranged += 1
     level = math.hypot(n, e)
-    azimuth = int(_AZIMUTHS * (0.5 + math.atan2(e, n) / (2.0 * math.pi))) % _AZIMUTHS
+    azimuth = int(AZIMUTHS * (0.5 + math.atan2(e, n) / (2.0 * math.pi))) % AZIMUTHS
     height = 0 if abs(d) <= 0.6 * level else (1 if d > 0.0 else 2)
     standing[S_TIER] = THREAT if threat else THREAT - 1
-    standing[S_SECTOR], standing[S_PART] = 3 * azimuth + height, len(_RANGE_M) * late + ranged
+    standing[S_SECTOR], standing[S_PART] = 3 * azimuth + height, len(RANGE_M) * late + ranged
     standing[S_TRUST], standing[S_LOSS] = -trust, int(min(2.0 * loss, 1000.0))
 
 

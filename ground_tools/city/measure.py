@@ -10,7 +10,7 @@ import numpy as np
 from companion.arrays import Floats, Integers
 from companion.avoidance import kernels as k
 from companion.config import AvoidanceConfig
-from ground_tools.campaign.outcome import _least_distance2
+from ground_tools.campaign.outcome import least_distance2
 from ground_tools.campaign.vehicles import Fleet
 from ground_tools.campaign.world import Conditions
 from ground_tools.city.compiled import compiled
@@ -126,7 +126,7 @@ def measure(
         for at_pair in range(near.number[i]):
             j = near.other[i, at_pair]
             if air.flight[j] != NOBODY:
-                least2 = _least_distance2(position, before, i, j)
+                least2 = least_distance2(position, before, i, j)
                 _note_pair(now, flights, craft, air, near, tally, i, at_pair, math.sqrt(least2))
 
 

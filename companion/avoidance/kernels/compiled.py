@@ -12,6 +12,7 @@ from typing import Any, TypeVar, cast
 
 from numba import config, njit
 from numba.core.caching import FunctionCache
+from numba.core.runtime.nrt import rtsys
 
 Function = TypeVar("Function")
 SOURCES = tuple(sorted(Path(__file__).parent.glob("*.py")))
@@ -49,6 +50,15 @@ class LoadingCache(FunctionCache):
         itself: Any = self  # numba has no types
         with itself._guard_against_spurious_io_errors():
             return itself._load_overload(sig, target_context)
+
+
+class CacheWithMemory(LoadingCache):
+    """The same for functions with the memory runtime, which random generators need."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled code for a signature; None if it is not in the cache."""
+        rtsys.initialize(target_context)
+        return super().load_overload(sig, target_context)
 
 
 def _made(function: Function) -> Function:

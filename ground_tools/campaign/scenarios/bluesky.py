@@ -70,6 +70,10 @@ class Scenario:
     skipped: Counter[str] = field(default_factory=Counter)
     """How often something was met that is not understood, by its name."""
 
+    def not_understood(self) -> str:
+        """The most frequent things that are not understood, for a message."""
+        return ", ".join(f"{name} ({count})" for name, count in self.skipped.most_common(5)) or "nothing"
+
 
 @dataclass(slots=True)
 class _Order:

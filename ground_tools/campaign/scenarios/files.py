@@ -152,7 +152,12 @@ def contents(path: Path, zone_m: float | None, most: int) -> Contents:
     Raises:
         ConfigError: the file cannot be read, or nothing happens in it.
     """
-    scenario = _read(path)
+    scenario = read(path, "--scn")
+    if not 2 <= len(scenario.plans) <= LARGEST_FLEET:
+        raise ConfigError(
+            f"--scn: {path}: it has {len(scenario.plans)} aircraft; allowed: 2 to {LARGEST_FLEET:,}; "
+            f"not understood: {scenario.not_understood()}"
+        )
     paths = _scaled(_flown(scenario.plans), zone_m)
     episodes, whole, left_out = _episodes(paths, most)
     if not episodes:
@@ -166,28 +171,24 @@ def contents(path: Path, zone_m: float | None, most: int) -> Contents:
     return Contents(tuple(episodes), len(paths), whole, left_out, skipped, speed)
 
 
-def _read(path: Path) -> bluesky.Scenario:
-    """What a file says.
+def read(path: Path, option: str) -> bluesky.Scenario:
+    """What a file says: flight intentions (`metropolis`) if its name ends in `.csv`, else `bluesky`.
+
+    Args:
+        option: command-line option that named the file.
 
     Raises:
-        ConfigError: the file cannot be read, or it has too few or too many aircraft.
+        ConfigError: the file cannot be read.
     """
     try:
         with path.open("rb") as file:
             raw = file.read(_LARGEST_FILE + 1)
     except OSError as error:
-        raise ConfigError(f"--scn: {path}: cannot be read: {error.strerror}") from error
+        raise ConfigError(f"{option}: {path}: cannot be read: {error.strerror}") from error
     if len(raw) > _LARGEST_FILE:
-        raise ConfigError(f"--scn: {path}: too large; allowed: up to {_LARGEST_FILE:,} bytes")
+        raise ConfigError(f"{option}: {path}: too large; allowed: up to {_LARGEST_FILE:,} bytes")
     text = raw.decode("utf-8", "replace")
-    found = metropolis.parse(text) if path.suffix.lower() == ".csv" else bluesky.parse(text)
-    if not 2 <= len(found.plans) <= LARGEST_FLEET:
-        said = ", ".join(f"{name} ({count})" for name, count in found.skipped.most_common(5)) or "nothing"
-        raise ConfigError(
-            f"--scn: {path}: it has {len(found.plans)} aircraft; allowed: 2 to {LARGEST_FLEET:,}; "
-            f"not understood: {said}"
-        )
-    return found
+    return metropolis.parse(text) if path.suffix.lower() == ".csv" else bluesky.parse(text)
 
 
 def _flown(plans: Sequence[bluesky.Plan]) -> list[_Path]:

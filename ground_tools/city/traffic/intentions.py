@@ -12,13 +12,12 @@ import numpy as np
 
 from companion.arrays import AnyFloats
 from companion.errors import ConfigError
-from ground_tools.campaign.scenarios import bluesky, metropolis
+from ground_tools.campaign.scenarios import bluesky, files
 from ground_tools.city.flights import Wish
 from ground_tools.city.traffic.demand import CLIMB_MPS, HIGHEST_M, LOWEST_M, PAD_M, PURPOSES
 
 RESERVE = 0.75
 """Planned speed as a share of the greatest speed."""
-_LARGEST_FILE = 64_000_000
 _LEAST_MPS = 5.0
 
 
@@ -32,16 +31,8 @@ def read(path: Path, from_s: float, duration_s: float, seed: int) -> list[Wish]:
     Raises:
         ConfigError: the file cannot be read, or no flight departs in this time.
     """
-    try:
-        with path.open("rb") as file:
-            raw = file.read(_LARGEST_FILE + 1)
-    except OSError as error:
-        raise ConfigError(f"--flights: {path}: cannot be read: {error.strerror}") from error
-    if len(raw) > _LARGEST_FILE:
-        raise ConfigError(f"--flights: {path}: too large; allowed: up to {_LARGEST_FILE:,} bytes")
-    text = raw.decode("utf-8", "replace")
+    found = files.read(path, "--flights")
     level = path.suffix.lower() == ".csv"
-    found = metropolis.parse(text) if level else bluesky.parse(text)
     rng = np.random.default_rng([22, seed])
     heights = rng.uniform(LOWEST_M, HIGHEST_M, len(found.plans)).tolist()
     wishes = [
@@ -50,10 +41,9 @@ def read(path: Path, from_s: float, duration_s: float, seed: int) -> list[Wish]:
         if len(plan.corners) > 1 and 0.0 <= plan.corners[0][0] - from_s < duration_s
     ]
     if not wishes:
-        said = ", ".join(f"{name} ({count})" for name, count in found.skipped.most_common(5)) or "nothing"
         raise ConfigError(
             f"--flights: {path}: none of its {len(found.plans)} aircraft departs from {from_s:g} s on within "
-            f"{duration_s:g} s; not understood: {said}"
+            f"{duration_s:g} s; not understood: {found.not_understood()}"
         )
     return wishes
 
