@@ -91,6 +91,33 @@ def approach(position: Vec3, velocity: Vec3, radius_m: float, scale: float) -> A
     return Approach(t, math.hypot(px - t * vx, py - t * vy), abs(down - t * sinking), loss)
 
 
+def time_to_cylinder(position: Vec3, velocity: Vec3, radius_m: float, height_m: float) -> float:
+    """Time (s) until both aircraft are nearer than a radius to the side and than a height, at the same time.
+
+    Args:
+        position, velocity: as for `approach`.
+
+    Returns:
+        0: they are so now; infinite: they never will be.
+    """
+    (n, e, d), (vn, ve, vd) = position, velocity
+    outside2, v2, pv = n * n + e * e - radius_m * radius_m, vn * vn + ve * ve, n * vn + e * ve
+    if v2 > 0.0:
+        root2 = pv * pv - v2 * outside2
+        if root2 < 0.0:
+            return math.inf
+        root = math.sqrt(root2)
+        begin, end = (pv - root) / v2, (pv + root) / v2
+    else:
+        begin, end = (0.0, math.inf) if outside2 <= 0.0 else (math.inf, -math.inf)
+    if vd != 0.0:
+        level = sorted(((d - height_m) / vd, (d + height_m) / vd))
+        begin, end = max(begin, level[0]), min(end, level[1])
+    elif abs(d) > height_m:
+        return math.inf
+    return max(begin, 0.0) if max(begin, 0.0) <= end else math.inf
+
+
 @dataclass(slots=True)
 class _Watched:
     other: Neighbour
@@ -146,7 +173,8 @@ class Alerts:
     def configure(self, config: AvoidanceConfig) -> None:
         """Use other separations and horizons from now on."""
         self._separations = separation_m(config, False), separation_m(config, True)
-        """Those from uncrewed and from crewed traffic."""
+        """Volumes by which the closest point is found: those of uncrewed and of crewed traffic."""
+        self._well_clear_m = config.crewed_horizontal_m, config.crewed_vertical_m
         self._horizons_s = horizon_s(config, False), horizon_s(config, True)
 
     @property
@@ -204,7 +232,11 @@ class Alerts:
         closing = velocity[0] - vn, velocity[1] - ve, velocity[2] - vd
         if not other.vertical_known:
             away, closing = (away[0], away[1], 0.0), (closing[0], closing[1], 0.0)
-        return approach(away, closing, *self._separations[other.crewed])
+        way = approach(away, closing, *self._separations[other.crewed])
+        if not other.crewed:
+            return way
+        loss_s = time_to_cylinder(away, closing, *self._well_clear_m)
+        return Approach(way.time_s, way.horizontal_m, way.vertical_m, loss_s)
 
     def _level(self, other: Neighbour, way: Approach, conflict: bool, active: bool) -> Level:
         loss_s, horizon_s = way.loss_s, self._horizons_s[other.crewed]

@@ -7,14 +7,14 @@ import math
 import msgspec
 import pytest
 
-from companion.avoidance.alerts import HOLD_S, Alerts, Level, approach
+from companion.avoidance.alerts import HOLD_S, Alerts, Level, approach, time_to_cylinder
 from companion.avoidance.law import LawResult, Neighbour, horizon_s
 from companion.config import AvoidanceConfig
 from companion.events import AlertChanged, Say, Threat, TrackView
 
 PERIOD_S = 0.2
 CONFIG = AvoidanceConfig(crewed_horizontal_m=150.0, crewed_vertical_m=50.0)
-"""Horizon 20 s, separation 10 m (crewed the ellipsoid around 150 m and 50 m)."""
+"""Horizon 20 s, separation 10 m (crewed 150 m or 50 m)."""
 CREWED_M = math.sqrt(2.0) * 150.0
 OWN, SPEED = (0.0, 0.0, -50.0), (10.0, 0.0, 0.0)
 NONE, ADVISORY, CAUTION, WARNING = 100.0, 25.0, 15.0, 5.0
@@ -23,7 +23,7 @@ NONE, ADVISORY, CAUTION, WARNING = 100.0, 25.0, 15.0, 5.0
 
 def other(loss_s: float, name: str = "X", **over: object) -> Neighbour:
     """One that stands straight ahead; its separation is lost after `loss_s`."""
-    radius = CREWED_M if over.get("crewed") else 10.0
+    radius = CONFIG.crewed_horizontal_m if over.get("crewed") else 10.0
     values = {"position_ned_m": (radius + 10.0 * loss_s, 0.0, -50.0), "velocity_ned_mps": (0.0, 0.0, 0.0)}
     return Neighbour(name, **{**values, "age_s": 0.0, "sigma_m": 1.0, **over})  # type: ignore[arg-type]
 
@@ -128,6 +128,42 @@ def test_approach_by_hand(position, velocity, radius_m, scale, time_s, horizonta
     assert way.loss_s == pytest.approx(loss_s)
 
 
+@pytest.mark.parametrize(
+    ("position", "velocity", "loss_s"),
+    [
+        # Level, head-on: at 150 m aside.
+        ((1000, 0, 0), (50, 0, 0), 17.0),
+        # Aside by 90 m: 150^2 = 90^2 + 120^2.
+        ((1000, 90, 0), (50, 0, 0), 17.6),
+        ((1000, 151, 0), (50, 0, 0), math.inf),
+        # Above and below, whatever the distance aside.
+        ((1000, 0, -51), (50, 0, 0), math.inf),
+        ((0, 0, 51), (0, 0, 0), math.inf),
+        ((0, 0, -49), (0, 0, 0), 0.0),
+        # It is within 150 m from 17 s to 23 s, and within 50 m of height from 19 s, from 25 s, and until 16 s.
+        ((1000, 0, -145), (50, 0, -5), 19.0),
+        ((1000, 0, -175), (50, 0, -5), math.inf),
+        ((1000, 0, 30), (50, 0, -1.25), math.inf),
+        # Inside, entering from the side and parting.
+        ((100, 0, 0), (1, 0, 0), 0.0),
+        ((100, 0, 0), (-1, 0, 0), 0.0),
+        ((200, 0, 0), (-1, 0, 0), math.inf),
+        ((200, 0, 0), (0, 0, 0), math.inf),
+        ((0, 0, 100), (0, 0, 5), 10.0),
+    ],
+)
+def test_well_clear_is_lost_within_a_cylinder(position, velocity, loss_s):
+    assert time_to_cylinder(position, velocity, 150.0, 50.0) == pytest.approx(loss_s)
+
+
+def test_crewed_traffic_that_passes_well_clear_above_is_no_warning():
+    """100 m aside and 60 m above, it is within the ellipsoid around the cylinder."""
+    looks = Looks()
+    for _ in range(3):
+        looks.look(other(0.0, crewed=True, position_ned_m=(0.0, 100.0, -110.0)))
+    assert looks.level() is Level.NONE
+
+
 # ------------------------------------------------------------ levels
 
 
@@ -169,7 +205,7 @@ def test_levels_by_what_the_law_makes_of_it(conflict, active, level):
 
 
 def test_crewed_traffic_beside_us_has_the_wide_separation():
-    beside = {"position_ned_m": (0.0, 200.0, -50.0), "velocity_ned_mps": SPEED}
+    beside = {"position_ned_m": (0.0, 120.0, -50.0), "velocity_ned_mps": SPEED}
     looks = Looks()
     for _ in range(3):
         looks.look(other(0.0, "DRONE", **beside), other(0.0, "CREWED", crewed=True, **beside))
