@@ -140,7 +140,7 @@ def test_approach_by_hand(position, velocity, radius_m, scale, time_s, horizonta
         ((1000, 0, -51), (50, 0, 0), math.inf),
         ((0, 0, 51), (0, 0, 0), math.inf),
         ((0, 0, -49), (0, 0, 0), 0.0),
-        # It is within 150 m from 17 s to 23 s, and within 50 m of height from 19 s, from 25 s, and until 16 s.
+        # It is within 150 m from 17 s to 23 s, and within 50 m of height from 19 s, 25 s, and until 16 s.
         ((1000, 0, -145), (50, 0, -5), 19.0),
         ((1000, 0, -175), (50, 0, -5), math.inf),
         ((1000, 0, 30), (50, 0, -1.25), math.inf),
