@@ -1,15 +1,17 @@
-"""Crewed traffic: which velocity stays well clear of it, and at which price.
+"""Crewed traffic: chooses the velocity that stays well clear of it at the lowest price.
 
-Aircraft with people aboard are fast, fly whatever they like and need far more room than a small aircraft can
-make in the last seconds. So they ask for no plane of the linear program, which leaves a volume by the
-shortest way. Instead, some velocities are flown ahead in thought for `HORIZON_S`: along the path, standing
-still, and in `HEADINGS` directions, each of them as the path descends, descending, level and climbing. Each
-costs its risk (the chance of losing well clear, and of a near mid-air collision) and its price (how far it
-leaves the path: sideways, up, and cheapest, down). The cheapest one is flown, until the next decision asks
-again. A small aircraft so goes below crewed traffic first, and sideways only as far as that does not do.
+Aircraft with people aboard are fast, turn as they like, and need more room than a small aircraft can make in
+the last seconds. A plane of the linear program leaves a volume by the shortest way, which is too late for
+them. Therefore they have no planes. Instead, a set of velocities is simulated over the next `HORIZON_S`:
+along the path, standing still, and in `HEADINGS` directions, each returning to the height of the path,
+descending, level and climbing. Each velocity has a risk (the chance of losing well clear, and of a near
+mid-air collision) and a price (how far it leaves the path: sideways, up, and cheapest, down). The law flies
+the one with the lowest sum, and chooses anew at each decision. So it goes below crewed traffic first, and
+sideways only as far as descending is not enough.
 
-Where another aircraft will be is a mixture: it has gone on as it does now (straight, or in a turn that
-fades), or it has meanwhile begun another manoeuvre and may be anywhere near. Nothing here allocates.
+The predicted position of another aircraft is a mixture: it has continued as it flies now (straight, or in a
+turn that fades), or it has begun another manoeuvre, and its position is then much less certain. Nothing here
+allocates.
 """
 
 from __future__ import annotations
