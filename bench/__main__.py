@@ -19,6 +19,7 @@ NAMES = (
     "flood",
     "gate",
     "aboard",
+    "display",
     "lockstep",
     "remote_id",
     "channel",

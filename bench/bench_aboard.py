@@ -60,12 +60,13 @@ address = "127.0.0.1:{air}"
 
 
 class Air:
-    """Stands in for the simulated air: 20 aircraft that are heard once a second by whoever joined."""
+    """Stands in for the simulated air: aircraft that are heard once a second by whoever joined."""
 
-    def __init__(self) -> None:
+    def __init__(self, neighbours: int = NEIGHBOURS) -> None:
+        self._neighbours = neighbours
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
-        self._socket.settimeout(1.0 / NEIGHBOURS)
+        self._socket.settimeout(1.0 / self._neighbours)
         self.port = self._socket.getsockname()[1]
         self._client: tuple[str, int] | None = None
         self._ended = threading.Event()
@@ -73,20 +74,20 @@ class Air:
         self._thread.start()
 
     def _serve(self) -> None:
-        senders = [FrameSender(radio_address(f"UAS{number}")) for number in range(NEIGHBOURS)]
+        senders = [FrameSender(radio_address(f"UAS{number}")) for number in range(self._neighbours)]
         began_s, number = time.monotonic(), 0
         due_s = began_s
         while not self._ended.is_set():
             try:
                 self._client = self._socket.recvfrom(2048)[1]
-                self._socket.sendto(datagrams.encode(Welcome(NEIGHBOURS + 1)), self._client)
+                self._socket.sendto(datagrams.encode(Welcome(self._neighbours + 1)), self._client)
             except (TimeoutError, ConnectionError):
                 pass
             if self._client is None or time.monotonic() < due_s:
                 continue
-            due_s += 1.0 / NEIGHBOURS
+            due_s += 1.0 / self._neighbours
             flown_s = time.monotonic() - began_s
-            messages = heard(number, flown_s).messages
+            messages = heard(number, flown_s, self._neighbours).messages
             stamp_s = round(time.time() % 3600.0, 1)
             dated = tuple(
                 type(m)(**{**{f: getattr(m, f) for f in m.__struct_fields__}, "timestamp_s": stamp_s})
@@ -97,7 +98,7 @@ class Air:
             address = radio_address(f"UAS{number}")
             for frame in senders[number].frames("wifi", dated):
                 self._socket.sendto(datagrams.encode(Heard("wifi", address, frame)), self._client)
-            number = (number + 1) % NEIGHBOURS
+            number = (number + 1) % self._neighbours
 
     def close(self) -> None:
         """End it."""
@@ -108,9 +109,11 @@ class Air:
 
 @contextmanager
 def process(log: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
-    """`python -m ARGUMENTS` with its output in a file."""
+    """`python -m ARGUMENTS` with its output in a file; a status socket of it is in the folder of that file."""
+    environment = os.environ | {"RUNTIME_DIRECTORY": str(log.parent)}
+    command = [sys.executable, "-u", "-m", *arguments]
     with log.open("wb") as out:
-        child = subprocess.Popen([sys.executable, "-u", "-m", *arguments], stdout=out, stderr=out)
+        child = subprocess.Popen(command, stdout=out, stderr=out, env=environment)
         try:
             yield child
         finally:
@@ -139,9 +142,18 @@ def processor_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def fly(folder: Path) -> dict[str, float]:
-    """One flight; the figures of it."""
-    air = Air()
+@contextmanager
+def flight(folder: Path, neighbours: int) -> Iterator[tuple[int, float]]:
+    """`companion run` while it flies the mock vehicle, from its first setpoint on.
+
+    Args:
+        folder: holds the logs, the status socket, and the records in the folder `runs`.
+        neighbours: how many aircraft are heard once a second.
+
+    Yields:
+        The process's id, and the seconds from its start to its first setpoint.
+    """
+    air = Air(neighbours)
     vehicle_log, log = folder / "vehicle.log", folder / "companion.log"
     serve = ("sitl_mocks.cli", "serve", "--firmware", "px4", "--airborne", "50", "--mode", "hold")
     try:
@@ -153,24 +165,30 @@ def fly(folder: Path) -> dict[str, float]:
             began_s = time.monotonic()
             with process(log, "companion.commands.cli", "run", "--config", str(folder / "c.toml")) as child:
                 wait_for(log, "standby -> guarding")
-                ready_s = time.monotonic() - began_s
-                time.sleep(SETTLE_S)
-                used_s, at_s = processor_s(child.pid), time.monotonic()
-                time.sleep(SECONDS)
-                share = (processor_s(child.pid) - used_s) / (time.monotonic() - at_s)
-                figures = {
-                    "ready_s": ready_s,
-                    "core": share,
-                    "rss": memory_mb("VmRSS", child.pid),
-                    "anon": memory_mb("RssAnon", child.pid),
-                    "peak": memory_mb("VmHWM", child.pid),
-                }
-        (summary,) = (folder / "runs").glob("*/summary.json")
-        flown_h = (time.monotonic() - began_s - ready_s) / 3600.0
-        figures["mb_an_hour"] = sum(path.stat().st_size for path in summary.parent.iterdir()) / 1e6 / flown_h
-        found = json.loads(summary.read_text())
+                yield child.pid, time.monotonic() - began_s
     finally:
         air.close()
+
+
+def fly(folder: Path) -> dict[str, float]:
+    """One flight; the figures of it."""
+    with flight(folder, NEIGHBOURS) as (pid, ready_s):
+        began_s = time.monotonic()
+        time.sleep(SETTLE_S)
+        used_s, at_s = processor_s(pid), time.monotonic()
+        time.sleep(SECONDS)
+        share = (processor_s(pid) - used_s) / (time.monotonic() - at_s)
+        figures = {
+            "ready_s": ready_s,
+            "core": share,
+            "rss": memory_mb("VmRSS", pid),
+            "anon": memory_mb("RssAnon", pid),
+            "peak": memory_mb("VmHWM", pid),
+        }
+    (summary,) = (folder / "runs").glob("*/summary.json")
+    flown_h = (time.monotonic() - began_s) / 3600.0
+    figures["mb_an_hour"] = sum(path.stat().st_size for path in summary.parent.iterdir()) / 1e6 / flown_h
+    found = json.loads(summary.read_text())
     figures |= {name: found["tick_lateness_ms"][name] for name in ("median", "p99", "worst")}
     return figures | {"missed": found["late_ticks"], "ticks": found["ticks"], "heard": found["frames_heard"]}
 

@@ -76,9 +76,9 @@ def own_events(now_s: float, *, slow: bool) -> list[Event]:
     return events
 
 
-def heard(number: int, now_s: float) -> RemoteIdHeard:
+def heard(number: int, now_s: float, neighbours: int = NEIGHBOURS) -> RemoteIdHeard:
     """A neighbour on a ring of 150 m around the aircraft, flying at its future place."""
-    angle = 2.0 * math.pi * number / NEIGHBOURS
+    angle = 2.0 * math.pi * number / neighbours
     lat, lon, _ = FRAME.to_geodetic(3.0 * now_s + 150.0 * math.cos(angle), 150.0 * math.sin(angle), 0.0)
     return RemoteIdHeard(
         transport="wifi",

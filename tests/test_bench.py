@@ -16,6 +16,7 @@ from bench import (
     bench_avoidance,
     bench_channel,
     bench_core,
+    bench_display,
     bench_flood,
     bench_gate,
     bench_lockstep,
@@ -109,3 +110,15 @@ def test_the_real_process_is_measured(monkeypatch, capsys, tmp_path):
     flown = capsys.readouterr().out
     assert flown.startswith("as it is here")
     assert 50 < float(flown.split()[5]) < 1000, "MB of this process's memory"
+
+
+def test_a_real_flight_and_a_real_display_are_measured(monkeypatch, tmp_path):
+    """Two aircraft, looked at for a moment by clients in the place of a browser."""
+    for name, value in {"TRACKS": 2, "ROUNDS": 1, "SECONDS": 0.5, "SETTLE_S": 1.5}.items():
+        monkeypatch.setattr(bench_display, name, value)
+    ways = {bench_display.ONE: bench_display.clients, "stopped": bench_display.stopped}
+    monkeypatch.setattr(bench_display, "WAYS", ways)
+    shares = bench_display.measured(tmp_path)
+    assert set(shares.flight) == {bench_display.NONE, *ways} == set(shares.late)
+    assert set(shares.display) == set(ways)
+    assert all(0.0 < share < 400.0 for (share,) in shares.flight.values()), "it flies at 20 Hz meanwhile"
