@@ -109,7 +109,7 @@ class Air:
 
 @contextmanager
 def process(log: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
-    """`python -m ARGUMENTS` with its output in a file; a status socket of it is in the folder of that file."""
+    """`python -m ARGUMENTS` with its output in a file, and its status socket beside that file."""
     environment = os.environ | {"RUNTIME_DIRECTORY": str(log.parent)}
     command = [sys.executable, "-u", "-m", *arguments]
     with log.open("wb") as out:
