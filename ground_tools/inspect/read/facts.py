@@ -221,7 +221,7 @@ class Gatherer:
             case RemoteIdHeard():
                 self._hear(now_s, item)
             case AdsbVehicle():
-                self.adsb.hear(now_s, item, self._own(now_s, geometric=item.alt_geometric))
+                self.adsb.hear(now_s, item, self._own(now_s), self._undulation_m())
             case Broadcast():
                 self.sent.setdefault(item.transport, array("d")).append(now_s)
             case Decision():
@@ -262,14 +262,16 @@ class Gatherer:
             if isinstance(message, Location):
                 self._approach(now_s, message, near)
 
-    def _own(self, now_s: float, *, geometric: bool = False) -> tuple[float, float, float] | None:
-        """Own latitude, longitude and altitude above mean sea level, or above the ellipsoid; None if it is
-        unknown or old."""
+    def _own(self, now_s: float) -> tuple[float, float, float] | None:
+        """Own latitude, longitude and altitude above mean sea level; None if it is unknown or old."""
         if len(self.fixes) < _FIX or now_s - self.fixes[-_FIX] > _OWN_AGE_S:
             return None
-        above_msl_m = self.undulation[-1] if geometric and self.undulation else 0.0
         _, lat_deg, lon_deg, alt_msl_m = self.fixes[-_FIX : 4 - _FIX]
-        return lat_deg, lon_deg, alt_msl_m + above_msl_m
+        return lat_deg, lon_deg, alt_msl_m
+
+    def _undulation_m(self) -> float | None:
+        """Height of the geoid above the ellipsoid, as the autopilot knows it; None while unknown."""
+        return self.undulation[-1] if self.undulation else None
 
     def _approach(self, now_s: float, message: Location, near: Approaches) -> None:
         """Add where a reported position is from the own one; it is extrapolated to now."""
@@ -279,8 +281,7 @@ class Gatherer:
         lat, lon, alt = here
         self.frame = self.frame or LocalFrame(lat, lon, alt)
         utc = self.utc[-1] if self.utc else None
-        undulation = self.undulation[-1] if self.undulation else None
-        fix = make_fix(message, now_s, utc, self.frame, undulation, _CLOCK_OFF_S)
+        fix = make_fix(message, now_s, utc, self.frame, self._undulation_m(), _CLOCK_OFF_S)
         if fix is None:
             return
         age = 0.0 if fix.stamp_s is None else max(now_s - fix.stamp_s, 0.0)

@@ -83,13 +83,21 @@ class AdsbTally:
     def __init__(self) -> None:
         self._heard: dict[int, _Adsb] = {}
 
-    def hear(self, now_s: float, event: AdsbVehicle, own: tuple[float, float, float] | None) -> None:
+    def hear(
+        self,
+        now_s: float,
+        event: AdsbVehicle,
+        own: tuple[float, float, float] | None,
+        undulation_m: float | None,
+    ) -> None:
         """Add a report.
 
         Args:
             now_s: time of its reception.
             event: the report.
-            own: our latitude, longitude (deg) and altitude in the datum of the report; None if unknown.
+            own: our latitude, longitude (deg) and altitude above mean sea level; None if unknown.
+            undulation_m: height of the geoid above the ellipsoid. While it is unknown (None), a geometric
+                altitude, which is above the ellipsoid, cannot be compared with ours.
         """
         if event.icao not in self._heard and len(self._heard) >= _MOST:
             return
@@ -98,7 +106,11 @@ class AdsbTally:
         one.callsign = event.callsign.strip() or one.callsign
         one.barometric |= event.alt_m is not None and not event.alt_geometric
         if own is not None:
-            one.near.add(now_s, _away(event, own), vertical_known=event.alt_m is not None)
+            alt_m = event.alt_m
+            if event.alt_geometric and alt_m is not None:
+                alt_m = None if undulation_m is None else alt_m - undulation_m
+            away_m = _away(event, own[2] if alt_m is None else alt_m, own)
+            one.near.add(now_s, away_m, vertical_known=alt_m is not None)
 
     def heard(self) -> dict[str, HeardAdsb]:
         """What was heard, by the ICAO address in hexadecimal digits."""
@@ -110,10 +122,9 @@ class AdsbTally:
         }
 
 
-def _away(event: AdsbVehicle, own: tuple[float, float, float]) -> Vec3:
+def _away(event: AdsbVehicle, alt_msl_m: float, own: tuple[float, float, float]) -> Vec3:
     """Position of the other relative to our own, carried forward over the age of the report."""
-    alt_m = own[2] if event.alt_m is None else event.alt_m
-    north, east, down = LocalFrame(*own).to_ned(event.lat_deg, event.lon_deg, alt_m)
+    north, east, down = LocalFrame(*own).to_ned(event.lat_deg, event.lon_deg, alt_msl_m)
     age_s = event.age_s + ADSB_STAMP_S
     v = event.velocity_ned_mps or (0.0, 0.0, 0.0)
     return north + v[0] * age_s, east + v[1] * age_s, down + v[2] * age_s

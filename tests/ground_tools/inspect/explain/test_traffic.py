@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import gzip
 import json
+import math
 import shutil
+import struct
 from pathlib import Path
 
 import pytest
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.config import Config, FlightConfig, IdentityConfig
 from companion.event_record import Step
@@ -21,8 +25,18 @@ from ground_tools.inspect.report.summary import describe
 from tests.ground_tools.inspect.flights import decision, step, track, write
 from tests.support.place import HOME
 
+M_PER_DEG = 111_195.0
+"""Length of a degree of latitude on a sphere, to a third of a percent."""
 DATA = Path(__file__).parents[3] / "data"
 ONE = Config(identity=IdentityConfig(uas_id="ONE", icao="4B1234"))
+
+
+def unpacked(folder: Path) -> Path:
+    """The log of an ArduPilot in simulation with ADS-B around it."""
+    path = folder / "ardupilot_sitl_odid_adsb.tlog"
+    with gzip.open(DATA / f"{path.name}.gz") as packed, path.open("wb") as plain:
+        shutil.copyfileobj(packed, plain)
+    return path
 
 
 def adsb(north_m: float, east_m: float, up_m: float | None, **over) -> AdsbVehicle:
@@ -83,6 +97,15 @@ def test_a_geometric_altitude_is_compared_above_the_ellipsoid(tmp_path):
     assert figures["aircraft"][0]["traffic"][0]["nearest"]["above_m"] == pytest.approx(0.0, abs=0.5)
 
 
+def test_a_geometric_altitude_is_not_compared_while_the_undulation_is_unknown(tmp_path):
+    """Above the ellipsoid it is 48 m here from what it is above mean sea level."""
+    figures = heard(tmp_path, adsb(0.0, 100.0, 48.0, alt_geometric=True))
+    near = figures["aircraft"][0]["traffic"][0]["nearest"]
+    assert near["above_m"] is None
+    assert near["slant_m"] == pytest.approx(100.0, abs=0.5)
+    assert "at an unknown height" in headline.verdicts(figures)[0]
+
+
 def test_the_own_transponder_and_the_own_remote_id_are_no_traffic(tmp_path):
     figures = heard(tmp_path, adsb(0.0, 0.0, 0.0, icao=0x4B1234), remote_id("ONE", 0.0, 0.0))
     assert figures["aircraft"][0]["traffic"] == []
@@ -115,12 +138,73 @@ def test_aircraft_of_the_run_are_told_as_pairs(tmp_path):
     assert "Other aircraft that were heard" not in terminal.text(figures)
 
 
+def frame_of(mav, message, boot_s):
+    """The message as an entry of a .tlog."""
+    return struct.pack(">Q", round((1.8e9 + boot_s) * 1e6)) + message.pack(mav)
+
+
+@pytest.mark.parametrize(
+    ("alt_type", "alt_mm", "above_m", "words"),
+    [
+        (mavlink.ADSB_ALTITUDE_TYPE_PRESSURE_QNH, 210_000, -240.0, "240 m below it by barometric altitude"),
+        (mavlink.ADSB_ALTITUDE_TYPE_PRESSURE_QNH, 650_000, 200.0, "200 m above it by barometric altitude"),
+        (mavlink.ADSB_ALTITUDE_TYPE_GEOMETRIC, 698_000, 200.0, "200 m above it at"),
+    ],
+)
+def test_altitudes_of_messages_are_compared_in_their_own_datum(tmp_path, alt_type, alt_mm, above_m, words):
+    """Own aircraft: 50 m above home, 450 m above mean sea level, 498 m above the ellipsoid."""
+    mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    lat, lon = round(HOME.lat_deg * 1e7), round(HOME.lon_deg * 1e7)
+    east = round(HOME.to_geodetic(0.0, 190.0, 0.0)[1] * 1e7)
+    flags = mavlink.ADSB_FLAGS_VALID_COORDS | mavlink.ADSB_FLAGS_VALID_ALTITUDE
+    entries = []
+    for k in range(20):
+        beat = mavlink.MAVLink_heartbeat_message(2, 3, 0x81, 4, 4, 3)
+        fix = mavlink.MAVLink_gps_raw_int_message(
+            k * 500_000, 3, lat, lon, 450_000, 100, 100, 0, 0, 12, 498_000, 300, 300, 100
+        )
+        own = mavlink.MAVLink_global_position_int_message(k * 500, lat, lon, 450_000, 50_000, 0, 0, 0, 0)
+        other = mavlink.MAVLink_adsb_vehicle_message(
+            0x4CA123, lat, east, alt_type, alt_mm, 0, 0, 0, b"EI1", 1, 1, flags, 0
+        )
+        entries += [frame_of(mav, message, k / 2 + 1) for message in (beat, fix, own, other)]
+    path = tmp_path / "made.tlog"
+    path.write_bytes(b"".join(entries))
+    figures = describe(read_run(path))
+    near = figures["aircraft"][0]["traffic"][0]["nearest"]
+    assert near["above_m"] == pytest.approx(above_m, abs=0.5)
+    assert near["aside_m"] == pytest.approx(190.0, abs=0.5)
+    assert words in headline.verdicts(figures)[0]
+
+
+def test_pymavlink_reads_the_same_nearest_aircraft_from_the_log(tmp_path):
+    """ADSB_VEHICLE.altitude and GLOBAL_POSITION_INT.alt are both above mean sea level by their definition."""
+    path = unpacked(tmp_path)
+    log = mavutil.mavlink_connection(str(path), dialect="ardupilotmega")
+    own, found = None, []
+    while (message := log.recv_match(type=["GLOBAL_POSITION_INT", "ADSB_VEHICLE"])) is not None:
+        if message.get_type() == "GLOBAL_POSITION_INT":
+            own = message if message.lat else own
+        elif own is not None:
+            age_s, course = message.tslc + ADSB_STAMP_S, math.radians(message.heading / 100.0)
+            along_m = message.hor_velocity / 100.0 * age_s
+            north = (message.lat - own.lat) * 1e-7 * M_PER_DEG + along_m * math.cos(course)
+            east = (message.lon - own.lon) * 1e-7 * M_PER_DEG * math.cos(math.radians(own.lat * 1e-7))
+            aside = math.hypot(north, east + along_m * math.sin(course))
+            above = (message.altitude - own.alt) / 1e3 + message.ver_velocity / 100.0 * age_s
+            found.append((math.hypot(aside, above), aside, above, f"{message.ICAO_address:06X}"))
+    slant, aside, above, name = min(found)
+    row = describe(read_run(path))["aircraft"][0]["traffic"][0]
+    assert (row["identity"], len({one[-1] for one in found})) == (name, 19)
+    near = row["nearest"]
+    for value, expected in ((near["slant_m"], slant), (near["aside_m"], aside), (near["above_m"], above)):
+        assert value == pytest.approx(expected, abs=2.0)
+    assert above == pytest.approx(-186.0, abs=1.0)
+
+
 def test_a_log_of_an_autopilot_alone_tells_all_that_it_heard(tmp_path):
     pytest.importorskip("matplotlib")
-    path = tmp_path / "ardupilot_sitl_odid_adsb.tlog"
-    with gzip.open(DATA / f"{path.name}.gz") as packed, path.open("wb") as plain:
-        shutil.copyfileobj(packed, plain)
-    run = read_run(path)
+    run = read_run(unpacked(tmp_path))
     figures = describe(run)
     rows = figures["aircraft"][0]["traffic"]
     assert len(rows) == 19
@@ -128,6 +212,7 @@ def test_a_log_of_an_autopilot_alone_tells_all_that_it_heard(tmp_path):
     assert rows[0]["nearest"]["aside_m"] == pytest.approx(200.7, abs=1.0)
     first = headline.verdicts(figures)[0]
     assert first.startswith("Nearest other aircraft: 001225 (SIM4645), 201 m beside")
+    assert "186 m below it by barometric altitude" in first
     assert first.endswith("19 other aircraft in all")
     text = page(run, figures)
     assert text.index("001225 (SIM4645)") < text.index("<h2>")
