@@ -37,7 +37,8 @@ fresh_system() {
         if [ "$architecture" != "$(dpkg --print-architecture)" ]; then
             variant=extract more=,base-files,base-passwd,bash,coreutils,dash,grep,libc-bin,login,passwd,sed
         fi
-        mmdebstrap --quiet --variant="$variant" --architectures="$architecture" --dpkgopt=force-unsafe-io \
+        # Named, because only a target that ends in .tar would be taken for an archive.
+        mmdebstrap --quiet --format=tar --variant="$variant" --architectures="$architecture" --dpkgopt=force-unsafe-io \
             --include="$(echo "$*" | tr ' ' ,)$more" "$suite" "$archive.part"
         mv "$archive.part" "$archive"
     fi

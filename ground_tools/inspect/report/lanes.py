@@ -115,9 +115,8 @@ def _lanes(
             )
             if length_s >= _LEAST_NAMED * whole_s > 0.0:
                 middle = start_s + 0.5 * length_s
-                axes.text(
-                    middle, index, plain(name)[:16], fontsize=5.5, ha="center", va="center", clip_on=True
-                )
+                look = {"fontsize": 5.5, "ha": "center", "va": "center", "color": plots.INK_ON_TINT}
+                axes.text(middle, index, plain(name)[:16], clip_on=True, **look)
     for kind, (shape, tint, size) in _MARKS.items():
         points = [(time, row) for row, told in marks.items() for time in told.get(kind, ())]
         if points:

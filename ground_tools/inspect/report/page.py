@@ -31,7 +31,7 @@ _STYLE = """
   --bad: #b00020; --gone: #fff6dd; }
 @media screen and (prefers-color-scheme: dark) {
   :root { --ink: #e8e8e8; --paper: #16181b; --soft: #b9bdc3; --line: #3a3e44; --edge: #8a9099; --bad: #ff8a80;
-    --gone: #3a3015; }
+    --gone: #3a3015; PLOTS }
   a { color: #8ab4f8; }
 }
 body { font: 15px/1.45 system-ui, "DejaVu Sans", sans-serif; color: var(--ink); background: var(--paper);
@@ -56,7 +56,8 @@ tr { break-inside: avoid; }
 tbody tr:nth-child(-n+4), tbody tr:nth-last-child(-n+4):not(:last-child) { break-after: avoid; }
 .wide { overflow-x: auto; }
 figure { margin: .6rem 0; break-inside: avoid; }
-figure svg { width: 100%; height: auto; background: #fff; }
+figure svg { width: 100%; height: auto; }
+figure svg text { fill: var(--ink); }
 .manoeuvre figure svg { max-width: 34rem; }
 figcaption { font-size: 12.5px; color: var(--soft); }
 .manoeuvre { break-inside: avoid; }
@@ -64,6 +65,7 @@ figcaption { font-size: 12.5px; color: var(--soft); }
 @media screen and (max-width: 640px) {
   body { padding: .7rem; }
   table { min-width: 40rem; }
+  .wide > svg { min-width: 42rem; }
 }
 @page { size: A4; margin: 14mm; }
 @media print {
@@ -72,8 +74,9 @@ figcaption { font-size: 12.5px; color: var(--soft); }
   .page { break-before: page; }
   nav { display: none; }
   .wide { overflow: visible; }
+  figure svg { max-height: 245mm; }
 }
-"""
+""".replace("PLOTS", " ".join(f"--plot-{name[1:]}: {dark};" for name, dark in plots.DARK.items()))
 
 
 def write(run: Run, figures: dict[str, Any], path: Path) -> None:
@@ -173,7 +176,7 @@ def _drawings(run: Run, figures: dict[str, Any]) -> list[str]:
         ("Broadcasts", "Each point is the mean rate over the last five broadcasts.", plots.rates(run, ways)),
     ]
     return [
-        _section(title, f"<figure>{drawing}<figcaption>{escaped(words)}</figcaption></figure>")
+        _section(title, f"<figure>{_scrolled(drawing)}<figcaption>{escaped(words)}</figcaption></figure>")
         for title, words, drawing in found
         if drawing is not None
     ]
@@ -241,9 +244,12 @@ def _table(rows: Rows) -> str:
         f"<tr{' class=bad' if terminal.alarming(row) else ''}>{''.join(map(_cell, row))}</tr>"
         for row in rows[1:]
     )
-    # Narrower than the table, the box scrolls; with a tabindex by the keyboard, too.
-    table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-    return f'<div class="wide" tabindex="0">{table}</div>'
+    return _scrolled(f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>")
+
+
+def _scrolled(wide: str) -> str:
+    """A box that scrolls where it is narrower than what it holds; with a tabindex by the keyboard, too."""
+    return f'<div class="wide" tabindex="0">{wide}</div>'
 
 
 def _cell(text: str) -> str:

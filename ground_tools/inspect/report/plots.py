@@ -9,6 +9,7 @@ not parsed as mathematical text, and matplotlib escapes them.
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -37,6 +38,20 @@ _HALF_WIDTH_M = 120.0
 _TOP_OF_REQUIRED = 6.0
 _LIMIT = hexadecimal(LIMIT)
 _WORDS = 9.0
+DARK = {
+    "#ffffff": "#16181b",
+    "#000000": "#e8e8e8",
+    "#111111": "#e8e8e8",
+    "#222222": "#e8e8e8",
+    "#e4e4e4": "#34383e",
+    "#5a5a5a": "#a0a0a0",
+    "#0072b2": "#2b8fd6",
+    "#b00020": "#ff6b62",
+}
+"""What a page with dark paper draws instead of a colour. The other colours are read on both papers."""
+INK_ON_TINT = "#1b1b1b"
+"""Colour of words within a coloured span, on both papers."""
+_DRAWN = re.compile(f"(?<=: )#({'|'.join(name[1:] for name in DARK)})")
 _SVG = {
     "svg.fonttype": "none",
     "svg.hashsalt": "dmuca",
@@ -52,6 +67,9 @@ _SVG = {
 def svg(size_in: tuple[float, float], draw: Callable[[Any], None]) -> str:
     """Call `draw` on an empty figure and return the result as an <svg> element.
 
+    A colour of `DARK`, such as #ffffff, is written as the variable `--plot-ffffff` with itself as the
+    default, so that the style of a page may replace it.
+
     Raises:
         ConfigError: matplotlib is not installed.
     """
@@ -60,7 +78,12 @@ def svg(size_in: tuple[float, float], draw: Callable[[Any], None]) -> str:
         stream = io.StringIO()
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     text = stream.getvalue()
-    return text[text.index("<svg") :]
+    # In tags only: a name from a log may read like a colour, and its brackets are escaped.
+    return re.sub("<[^>]*>", _themed, text[text.index("<svg") :])
+
+
+def _themed(tag: re.Match[str]) -> str:
+    return _DRAWN.sub(r"var(--plot-\1, #\1)", tag[0])
 
 
 def shade(index: int) -> str:

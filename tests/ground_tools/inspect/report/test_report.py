@@ -7,6 +7,7 @@ import sys
 import warnings
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -266,8 +267,6 @@ def test_it_is_read_in_the_dark_on_a_phone_and_by_the_keyboard(
         assert shown.evaluate(colours) == light
         shown.emulate_media(color_scheme="dark")
         assert shown.evaluate(colours) == dark
-        figure = "getComputedStyle(document.querySelector('figure svg')).backgroundColor"
-        assert shown.evaluate(figure) == light[1], "the plots are drawn for white paper"
         shown.emulate_media(color_scheme="dark", media="print")
         assert shown.evaluate(colours) == light
         shown.emulate_media(color_scheme="light", media="screen")
@@ -279,3 +278,62 @@ def test_it_is_read_in_the_dark_on_a_phone_and_by_the_keyboard(
         boxes = shown.evaluate("[...document.querySelectorAll('.wide')].map(e => e.tabIndex)")
         assert boxes
         assert set(boxes) == {0}
+
+
+PAPER = "[...document.querySelectorAll('figure #patch_1 path')].map(e => getComputedStyle(e).fill)"
+"""Colour behind each drawing."""
+DRAWN = """kind => [...document.querySelectorAll('figure svg ' + kind)]
+  .filter(e => !e.style.fill.startsWith('rgb(27') && !e.closest('[id^=xtick],[id^=ytick],defs'))
+  .map(e => [getComputedStyle(e).fill, getComputedStyle(e).stroke].find(c => c !== 'none'))"""
+"""Colours of words or lines, but for those of the grid and of words within coloured spans."""
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of "rgb(r, g, b)" (WCAG 2)."""
+    parts = [int(part) / 255.0 for part in re.findall(r"\d+", colour)[:3]]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+
+def contrast(one: str, other: str) -> float:
+    """Contrast ratio of two colours (WCAG 2)."""
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.skipif(chromium.missing() is not None, reason=str(chromium.missing()))
+def test_drawings_are_read_in_the_dark_printed_on_white_and_wide_enough_on_a_phone(
+    guard: SimpleNamespace, tmp_path: Path
+) -> None:
+    path = tmp_path / "r.html"
+    path.write_text(guard.page, encoding="utf-8")
+    dark, white = "rgb(22, 24, 27)", "rgb(255, 255, 255)"
+    boxes = "[...document.querySelectorAll('figure svg')].map(s => s.getBoundingClientRect().toJSON())"
+    with chromium.opened(390, 800) as browser:
+        shown = browser.page
+        shown.emulate_media(color_scheme="dark")
+        shown.goto(path.as_uri())
+        assert set(shown.evaluate(PAPER)) == {dark}
+        words, lines = shown.evaluate(DRAWN, "text"), shown.evaluate(DRAWN, "g[id^=line2d] path")
+        assert len(words) > 40
+        assert len(lines) > 10
+        assert min(contrast(colour, dark) for colour in words) > 7.0
+        assert min(contrast(colour, dark) for colour in lines) > 3.0
+        # Words keep their size on a phone: a drawing is scrolled, not shrunk.
+        assert all(box["width"] >= 540.0 for box in shown.evaluate(boxes))
+        assert shown.evaluate("document.documentElement.scrollWidth") <= 390
+        shown.emulate_media(color_scheme="dark", media="print")
+        shown.set_viewport_size({"width": 688, "height": 1017})  # A4 less its margins
+        assert set(shown.evaluate(PAPER)) == {white}
+        assert set(shown.evaluate(DRAWN, "text")) == {"rgb(27, 27, 27)"}
+        assert all(box["right"] <= 688.5 and box["height"] < 1017.0 for box in shown.evaluate(boxes))
+        assert shown.evaluate("document.documentElement.scrollWidth") <= 688
+
+
+def test_a_name_that_reads_like_a_colour_stays_as_it_is() -> None:
+    def draw(figure: Any) -> None:
+        figure.text(0.5, 0.5, 'fill: #000000 style="fill: #ffffff"')
+
+    text = plots.svg((2.0, 1.0), draw)
+    assert 'fill: #000000 style="fill: #ffffff"' in "".join(Page(text).words)
+    assert "fill: var(--plot-ffffff, #ffffff)" in text
