@@ -66,6 +66,7 @@ figcaption { font-size: 12.5px; color: var(--soft); }
   body { padding: .7rem; }
   table { min-width: 40rem; }
   .wide > svg { min-width: 42rem; }
+  .manoeuvre .wide > svg { min-width: 30rem; }
 }
 @page { size: A4; margin: 14mm; }
 @media print {
@@ -220,7 +221,7 @@ def _manoeuvre(name: str, one: Manoeuvre, row: dict[str, Any], drawing: str | No
     return (
         f'<div class="manoeuvre"><h3>{escaped(name)}, {when}</h3>{words}'
         + _table(rows)
-        + (f"<figure>{drawing}</figure>" if drawing else "")
+        + (f"<figure>{_scrolled(drawing)}</figure>" if drawing else "")
         + "</div>"
     )
 

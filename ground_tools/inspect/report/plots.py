@@ -355,7 +355,8 @@ def velocities(one: Manoeuvre, speed_mps: float) -> str | None:
             axes.annotate(str(number), (e, n), (3, 3), textcoords="offset points", fontsize=7)
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
         axes.set(xlabel="east (m/s)", ylabel="north (m/s)")
-        axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), fontsize=7.5, frameon=False)
+        # A legend of the figure: the layout keeps room for it, and cuts neither its words nor the labels.
+        figure.legend(loc="outside right upper", fontsize=7.5, frameon=False)
 
     return svg((5.6, 3.6), draw)
 
