@@ -29,12 +29,13 @@ site: .venv/docs.stamp
 	$(BIN)/mkdocs build --strict --quiet
 	@echo "build/site/index.html"
 
-# Installs the wheel, a Debian package and a container image in empty systems. Needs root, mmdebstrap and more; what
-# is missing is named, and that part is skipped (exit code 77).
+# Installs the wheel with the example projects in an empty environment, and the wheel, a Debian package and a container
+# image in empty systems. Needs root, mmdebstrap and more; what is missing is named, and that part is skipped (exit
+# code 77).
 packages: .venv/dev.stamp
 	rm -rf build/dist
 	$(BIN)/python -m hatchling build -t wheel -d build/dist
-	for script in try_install try_deb try_image; do \
+	for script in try_plugins try_install try_deb try_image; do \
 	    tests/packaging/$$script.sh build/dist/*.whl || [ $$? = 77 ] || exit 1; \
 	done
 
