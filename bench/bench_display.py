@@ -185,8 +185,7 @@ def main() -> None:
             f"{name:24}{mean:12.2f}{min(values):12.2f}{max(values):12.2f}{added:>12}{display:>12}"
             f"{shares.late[name]:12}"
         )
-    added = statistics.mean(shares.flight[ONE]) - none
-    cost = added + statistics.mean(shares.display[ONE])
+    cost = statistics.mean(shares.flight[ONE]) - none + statistics.mean(shares.display[ONE])
     target("one browser, flight and display together", cost, "% of a core", most=MOST_CORE)
 
 
