@@ -38,8 +38,12 @@ HEADINGS = 12
 """Directions, one of which is north; in each, the greatest speed and half of it are tried."""
 NEAR_RADIUS_M, NEAR_HEIGHT_M = 152.4, 30.48
 """Volume of a near mid-air collision (ASTM F3442): 500 ft and 100 ft."""
+HIT_RADIUS_M, HIT_HEIGHT_M = 50.0, 15.0
+"""Volume of a possible collision. Where the larger volumes cannot be left any more, distance still counts."""
 NEAR_WORTH = 10.0
 """A near mid-air collision counts as so many losses of well clear more."""
+HIT_WORTH = 20.0
+"""A possible collision counts as so many losses of well clear more."""
 STAY_WORTH = 0.3
 """Worth of being within a volume for the whole horizon, as a share of that of entering it. So an aircraft
 that is within leaves."""
@@ -67,6 +71,10 @@ TURN_MEMORY_S = 2.0
 """Time constant with which turn rates are averaged."""
 TURN_MOST_RPS = 0.35
 """Greatest turn rate that is believed: 20 degrees a second."""
+TURN_NOISE_RPS = 0.01
+"""Part of a turn rate that is taken for noise: the course in messages has steps of about a degree. Carried on
+for `TURN_FADES_S`, it would move the predicted place from one side of our own aircraft to the other with each
+message."""
 TURNING_MPS = 2.0
 """An aircraft that is slower does not turn, because the direction of its velocity is noise."""
 _ANSWER_S = 0.5
@@ -137,6 +145,7 @@ def _predict(other: Other, own_d: float, ahead: Floats) -> None:
     has flown on, the errors then, otherwise, and in height."""
     speed = math.sqrt(other.vn * other.vn + other.ve * other.ve)
     heading = math.atan2(other.ve, other.vn)
+    turn_rps = math.copysign(max(abs(other.turn_rps) - TURN_NOISE_RPS, 0.0), other.turn_rps)
     n, e, t = other.n, other.e, 0.0
     for row in range(STEPS):
         until = other.age_s + row * STEP_S
@@ -144,7 +153,7 @@ def _predict(other: Other, own_d: float, ahead: Floats) -> None:
         step = (until - t) / parts
         for _ in range(parts):
             fade = 1.0 - math.exp(-(t + 0.5 * step) / TURN_FADES_S)
-            course = heading + other.turn_rps * TURN_FADES_S * fade
+            course = heading + turn_rps * TURN_FADES_S * fade
             n += speed * math.cos(course) * step
             e += speed * math.sin(course) * step
             t += step
@@ -266,11 +275,12 @@ def _risk(ahead: Floats, way: _Way, view: _View, enough: float) -> float:
         if aside < view.radius_m + 2.0 * at[5]:
             chance = _within(aside, above, view.radius_m, view.height_m, at)
             close = _within(aside, above, NEAR_RADIUS_M, NEAR_HEIGHT_M, at)
+            close = NEAR_WORTH * close + HIT_WORTH * _within(aside, above, HIT_RADIUS_M, HIT_HEIGHT_M, at)
             lost, near = max(lost, chance), max(near, close)
-            stays += chance + NEAR_WORTH * close
-            if lost + NEAR_WORTH * near + STAY_WORTH * stays / STEPS >= enough:
+            stays += chance + close
+            if lost + near + STAY_WORTH * stays / STEPS >= enough:
                 break
-    return lost + NEAR_WORTH * near + STAY_WORTH * stays / STEPS
+    return lost + near + STAY_WORTH * stays / STEPS
 
 
 @compiled

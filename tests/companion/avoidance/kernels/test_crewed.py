@@ -154,3 +154,21 @@ def test_turn_rates_are_bounded_and_those_of_hovering_aircraft_are_zero() -> Non
     assert k.turn_rate(0.0, (0.5, 0.0, 0.0), (0.0, 0.5, 0.0), 1.0) == 0.0
     assert k.turn_rate(0.1, (30.0, 0.0, 0.0), (0.0, 30.0, 0.0), 0.0) == 0.1
     assert k.turn_rate(0.0, (0.0, 0.0, 0.0), (0.0, 30.0, 0.0), math.inf) == 0.0
+
+
+def test_the_noise_of_courses_is_no_turn() -> None:
+    """Or each message would tell it to leave on another side."""
+    coming = {"position": (1500.0, 40.0, -80.0), "velocity": (-50.0, 0.0, 0.0), "vertical_known": 0.0}
+    left, right = (wish_of(other(**coming, turn_rps=rate))[0] for rate in (-0.009, 0.009))
+    assert left == right
+    assert left[1] < -5.0
+
+
+@pytest.mark.parametrize("known", [0.0, 1.0])
+def test_too_late_to_stay_clear_it_still_makes_room(known: float) -> None:
+    """Seven seconds before an aircraft on the same line, no velocity leaves the volume of a near miss."""
+    coming = other((350.0, 10.0, -80.0), (-50.0, 0.0, 0.0), vertical_known=known)
+    (n, e, d), gives_way = wish_of(coming)
+    assert gives_way
+    assert e < -5.0 or (known and abs(d) > 1.0)
+    assert math.sqrt(n * n + e * e + d * d) > 2.0
