@@ -31,6 +31,8 @@ _BEFORE_S = 10.0
 path's velocity over a window (`kernels.Settings.turn_s`), and a path has no velocity before its beginning."""
 _LEAST_SPEED_MPS = 1.0
 """Lowest speed on the way to the item's position, for a vehicle that stood or had only begun to move."""
+_REJOIN_S = 60.0
+"""A vehicle that is taken again within this time may still be at the height to which traffic pushed it."""
 _HERE_M = 0.5
 _STAY_S = 1.0
 
@@ -69,6 +71,8 @@ class GuardPlan:
         """Mission and item number to which the path leads."""
         self._speed_mps = 0.0
         """Speed of the vehicle when it was taken."""
+        self._held_s, self._leg_m = -math.inf, (0.0, 0.0)
+        """When we last controlled the vehicle, and the least and greatest height of the leg then."""
 
     @property
     def ready(self) -> bool:
@@ -80,7 +84,7 @@ class GuardPlan:
         self.course.end()
         self.downloads.forget()
         self._fetched = self._comparing = self.changed = self._stale = False
-        self._mark, self._compared_s = None, -math.inf
+        self._mark, self._compared_s, self._held_s = None, -math.inf, -math.inf
 
     def mission_downloaded(self, event: MissionDownloaded, now_s: float) -> None:
         """Take in a downloaded mission: as the one that is flown, or for comparison with it."""
@@ -178,12 +182,17 @@ class GuardPlan:
         """
         if not self._stale and self._led != (self._flown, own.mission_seq):
             self._follow(own, now_s)
+        self._held_s, self._leg_m = now_s, self.course.leg_heights_m(now_s) or self._leg_m
         return self._fetch(now_s)
 
     def _follow(self, own: Ownship, now_s: float) -> None:
         assert self.course.law is not None
         here, item = own.position_ned_m(now_s), None if self._stale else self._item(own)
-        height_m = lowest_m = self._height_m(own)
+        height_m = self._height_m(own)
+        if now_s - self._held_s <= _REJOIN_S:
+            # Or traffic that pushes the vehicle again and again would lower its leg each time.
+            height_m = min(max(height_m, self._leg_m[0]), self._leg_m[1])
+        lowest_m = height_m
         path = _standing(here)
         profile = [(path.start_s, height_m)]
         place = None if item is None else place_of(item, height_m, self.course.home_alt_msl_m)

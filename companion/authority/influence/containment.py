@@ -26,7 +26,8 @@ CEILING_M = 120.0
 """Ceiling above home if none is configured and the mission flies no higher than `above_m` below it. It does
 not apply to crewed traffic."""
 _BEYOND_M = 10.0
-"""An aircraft that is farther outside than this when it is taken was not pushed there by traffic."""
+"""An aircraft that is farther outside of a volume than this when it is taken was not pushed there within that
+volume. One that is less far outside was pressed to its border, and must not gain a larger one."""
 _CORNERS = 12
 """Corners of the area around a single place."""
 _MOST_PLACES = 32
@@ -50,8 +51,9 @@ class Containment:
     those of the present leg, `below_m` below and `above_m` above, between floor and ceiling. While crewed
     traffic is in conflict, and until the aircraft is back in that volume, a larger one is in force:
     `crewed_side_m` to the side, `crewed_above_m` above, and down to the floor. So it is for an aircraft that
-    is outside of the smaller one when it is taken. If it is outside of the larger one too (the mission is not
-    known, the pilot flew it elsewhere), the place where it is taken counts as a place of the mission.
+    is more than `_BEYOND_M` outside of the smaller one when it is taken. If it is outside of the larger one
+    too (the mission is not known, the pilot flew it elsewhere), the place where it is taken counts as a place
+    of the mission.
     """
 
     def __init__(self, config: Config, own: Ownship, course: Course) -> None:
@@ -67,6 +69,8 @@ class Containment:
         """`Course.places` for which the walls were made; None: the aircraft is not held."""
         self._range_m = 0.0, 0.0
         """Least and greatest height of the mission."""
+        self._places: list[_Place] = []
+        """Places whose convex hull is the middle of the volume."""
         self._narrow = self._wide = k.NO_WALLS
         self._crewed_s = -math.inf
         """Time of the last conflict with crewed traffic."""
@@ -108,7 +112,7 @@ class Containment:
         anew = self._of is not self._course.places
         if anew:
             self._make(here[:2], height_m)
-            self._is_wide = True  # unless the aircraft is within the other one, see below
+            self._is_wide = self._is_beyond(now_s, here[:2], height_m, _BEYOND_M)
         wide = self._needs_wide(now_s, here[:2], height_m)
         if self._encloses and (anew or wide != self._is_wide):
             law.enclose(self._wide if wide else self._narrow)
@@ -128,6 +132,7 @@ class Containment:
         if not places or not _within(area_around(places, self._crewed_side_m + _BEYOND_M), here):
             self._more.append(here)
             places.append(here)
+        self._places = places
         self._narrow = area_around(places, config.side_m)
         self._wide = area_around(places, self._crewed_side_m)
 
@@ -137,8 +142,15 @@ class Containment:
             return True
         if not self._is_wide:
             return False
+        return self._is_beyond(now_s, here, height_m, 0.0)
+
+    def _is_beyond(self, now_s: float, here: _Place, height_m: float, by_m: float) -> bool:
+        """Whether a place is outside of the smaller volume by more than a distance."""
         floor_m, ceiling_m = self._heights_m(now_s, False)
-        return not (floor_m <= height_m <= ceiling_m and _within(self._narrow, here))
+        if not floor_m - by_m <= height_m <= ceiling_m + by_m:
+            return True
+        area = self._narrow if by_m == 0.0 else area_around(self._places, self._config.side_m + by_m)
+        return not _within(area, here)
 
     def _heights_m(self, now_s: float, wide: bool) -> tuple[float, float]:
         config, limits, (low, high) = self._config, self._limits, self._range_m

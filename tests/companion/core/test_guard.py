@@ -336,3 +336,19 @@ def test_the_way_is_flown_as_fast_as_before_within_the_limit_and_not_at_a_crawl(
     bench.velocity_ned_mps = (flown_mps, 0.0, 0.0)
     way = leading_to(bench, 50.0).core.plan.course.law.trajectory
     assert way.times_s[-1] == pytest.approx(300.0 / way_mps, rel=0.02)
+
+
+def test_taken_again_at_the_height_to_which_traffic_pushed_it_the_leg_is_the_same(guarded):
+    """Or the leg would be lower each time, down to the lowest place of the mission."""
+    bench = taken(guarded())
+    guard, own = bench.core.plan, bench.core.own
+    before = guard.course.leg_heights_m(bench.now_s)
+    height_m = bench.height_m
+    bench.height_m -= 25.0
+    bench.step(20)
+    guard.leave(own, bench.now_s)
+    assert guard.course.leg_heights_m(bench.now_s) == pytest.approx(before, abs=0.5)
+    assert guard.course.lowest_height_m == pytest.approx(height_m, abs=0.5)
+    # Whoever flies there for longer has descended himself.
+    guard.leave(own, bench.now_s + 61.0)
+    assert guard.course.leg_heights_m(bench.now_s + 61.0)[0] == pytest.approx(before[0] - 25.0, abs=0.5)

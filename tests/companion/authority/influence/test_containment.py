@@ -166,3 +166,14 @@ def test_crewed_traffic_widens_it_until_the_aircraft_is_back():
     flight.own.place = (100.0, 0.0)
     assert flight.heights(61.0) == (20.0, 80.0)
     assert flight.reach(1.0, 0.0) == pytest.approx(50.0, abs=6.0)
+
+
+@pytest.mark.parametrize(("height_m", "floor_m"), [(19.5, 20.0), (81.0, 20.0), (1.0, 15.0)])
+def test_pressed_to_its_border_and_taken_again_it_gains_no_larger_volume(height_m, floor_m):
+    """The error of the own height is enough to be outside. 19 m lower, nobody pressed it there."""
+    flight = Flight().lead((0.0, 0.0, 50.0))
+    flight.heights()
+    flight.containment.let_go()
+    flight.own.height_m = height_m
+    flight.lead((0.0, 0.0, 50.0), leg=((0.0, height_m), (50.0, 50.0)))
+    assert flight.heights(1.0)[0] == floor_m
