@@ -39,6 +39,9 @@ _PRESSURE_LOST_S = 5.0
 _MOST_WEATHER_M = 500.0
 """Largest difference of pressure altitude and altitude that is believed; 60 hPa off the standard atmosphere.
 Weather reaches 300 m."""
+_WEATHER_S, _SUDDEN_M = 300.0, 50.0
+"""Weather changes slowly: in flight, a difference that is so far from its mean over this time is not
+believed."""
 _GROUNDED_S, _GROUNDED_MESSAGES = 1.5, 3
 """An armed vehicle is believed to be on the ground after this many consecutive messages over this time."""
 _GROUNDED_HIGH_S = 10.0
@@ -169,6 +172,8 @@ class Ownship:
     """Time of the first of these messages."""
     _gnss_s: float = -math.inf
     _pressure_s: float = -math.inf
+    _weather_m: float | None = None
+    """Mean of that difference, as far as it was believed."""
     _estimator_lost_s: float = -math.inf
     """Time of the last report that the estimator has no position; minus infinity if it has one again."""
     _velocity_boot_s: float = -math.inf
@@ -225,7 +230,13 @@ class Ownship:
     def _take_pressure(self, event: AirPressure, now_s: float) -> None:
         if self.position is not None:
             above_m = pressure_altitude_m(event.pressure_hpa) - self.position.alt_msl_m
-            self.pressure_above_m = above_m if abs(above_m) <= _MOST_WEATHER_M else None
+            mean_m, passed_s = self._weather_m, min(now_s - self._pressure_s, _PRESSURE_LOST_S)
+            if mean_m is None or self.landed(now_s) is Landed.ON_GROUND:
+                mean_m = above_m
+            known = abs(above_m) <= _MOST_WEATHER_M and abs(above_m - mean_m) <= _SUDDEN_M
+            if known:
+                self._weather_m = mean_m + (1.0 - math.exp(-passed_s / _WEATHER_S)) * (above_m - mean_m)
+            self.pressure_above_m = above_m if known else None
             self._pressure_s = now_s
 
     def _take_landed(self, landed: Landed, now_s: float) -> None:

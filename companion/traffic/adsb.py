@@ -66,6 +66,8 @@ _NOT_CREWED = frozenset({14, 17, 18, 19})
 class _Seen:
     position: Vec3
     velocity: Vec3
+    velocity_sent: bool
+    """Whether it reported its velocity. Otherwise it is computed from two positions."""
     at_s: float
     alt_m: float
     """Reported altitude; 0 if it is not known."""
@@ -148,13 +150,14 @@ class AdsbTraffic:
         seen = self._seen[event.icao] = _Seen(
             position=position,
             velocity=event.velocity_ned_mps or (_STILL if before is None else before.velocity),
+            velocity_sent=event.velocity_ned_mps is not None,
             at_s=at_s,
             alt_m=event.alt_m or 0.0,
             vertical_known=alt_msl_m is not None,
             barometric=not event.alt_geometric,
             crewed=event.emitter not in _NOT_CREWED,
             told=told,
-            turn_rps=0.0 if before is None else before.turn_rps,
+            turn_rps=0.0,
             reports=1 if before is None else before.reports + 1,
             threat_s=-math.inf if before is None else before.threat_s,
             anchor=before,
@@ -166,8 +169,10 @@ class AdsbTraffic:
             anchor.anchor = None
             if event.velocity_ned_mps is None and at_s - anchor.at_s >= _APART_S:
                 seen.velocity = _between(anchor, seen)
-            passed_s = at_s - before.at_s
-            seen.turn_rps = k.turn_rate(before.turn_rps, before.velocity, seen.velocity, passed_s)
+            if before.velocity_sent and seen.velocity_sent:
+                # The noise of velocities from positions would be taken for turns.
+                passed_s = at_s - before.at_s
+                seen.turn_rps = k.turn_rate(before.turn_rps, before.velocity, seen.velocity, passed_s)
         self._rank(event.icao, now_s)
         if len(self._seen) > MOST:
             self._make_room(now_s)

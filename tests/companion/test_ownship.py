@@ -345,3 +345,23 @@ def test_a_pressure_that_no_weather_explains_is_not_believed():
     own.observe(position(10.0), 1.0)
     own.observe(AirPressure(pressure_hpa=900.0), 1.0)
     assert own.pressure_alt_m(1.0) is None
+
+
+def test_a_pressure_that_jumps_in_flight_is_not_believed():
+    """Or one message would place all crewed traffic hundreds of metres above or below us."""
+    own = armed()
+    own.observe(position(10.0), 1.0)
+    own.observe(AirPressure(pressure_hpa=960.0), 1.0)
+    own.observe(AirPressure(pressure_hpa=950.0), 1.5)  # 88 m
+    assert own.pressure_alt_m(1.5) is None
+    own.observe(AirPressure(pressure_hpa=959.0), 2.0)
+    assert own.pressure_alt_m(2.0) == pytest.approx(pressure_altitude_m(959.0), abs=0.01)
+
+
+def test_weather_that_changes_slowly_is_followed():
+    """By 90 m within half an hour."""
+    own = armed()
+    for second in range(1800):
+        own.observe(position(float(second)), float(second))
+        own.observe(AirPressure(pressure_hpa=960.0 - second / 180.0), float(second))
+    assert own.pressure_alt_m(1799.0) == pytest.approx(pressure_altitude_m(950.0), abs=1.0)

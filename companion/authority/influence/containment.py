@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.arrays import Floats
-from companion.authority.course import LEAST_LAYER_M, Course
+from companion.authority.course import LEAST_HEIGHT_M, LEAST_LAYER_M, Course
 from companion.avoidance import kernels as k
 from companion.avoidance.law import Law
 from companion.config import AvoidanceConfig, Config, ContainmentConfig
@@ -161,6 +161,9 @@ class Containment:
         ceiling = limits.ceiling_height_m
         top = math.inf if ceiling is None else ceiling
         if wide:
+            if limits.floor_height_m is None:
+                # A place as low as a landing lowers the floor of its own leg alone.
+                floor = max(floor, min(LEAST_HEIGHT_M, least, top - LEAST_LAYER_M))
             return floor, min(top, max(most + self._crewed_above_m, floor + LEAST_LAYER_M))
         floor = max(floor, min(least - config.below_m, top - LEAST_LAYER_M))
         if ceiling is None:

@@ -34,16 +34,17 @@ HORIZON_S = STEP_S * (STEPS - 1)
 MOST = 32
 """Most crewed aircraft that are weighed: those that could lose well clear first. A decision about 200 would
 take too long."""
+CLIMB_MOST_MPS = 15.0
+"""How fast a crewed aircraft and we may approach each other in height, beside its present vertical speed."""
 HEADINGS = 12
 """Directions, one of which is north; in each, the greatest speed and half of it are tried."""
 NEAR_RADIUS_M, NEAR_HEIGHT_M = 152.4, 30.48
 """Volume of a near mid-air collision (ASTM F3442): 500 ft and 100 ft."""
-HIT_RADIUS_M, HIT_HEIGHT_M = 50.0, 15.0
-"""Volume of a possible collision. Where the larger volumes cannot be left any more, distance still counts."""
 NEAR_WORTH = 10.0
 """A near mid-air collision counts as so many losses of well clear more."""
-HIT_WORTH = 20.0
-"""A possible collision counts as so many losses of well clear more."""
+DEPTH_WORTH = 20.0
+"""The middle of that volume counts as so many losses of well clear more than its edge. So distance counts
+where the volume cannot be left any more."""
 STAY_WORTH = 0.3
 """Worth of being within a volume for the whole horizon, as a share of that of entering it. So an aircraft
 that is within leaves."""
@@ -63,6 +64,8 @@ STEADY_S = 30.0
 STEADY_SHARE, CHANGED_SHARE = 0.05, 0.35
 """Growth of that error, as a share of the way that the aircraft flies: as long as it flies on, and once it
 has begun another manoeuvre."""
+LEAST_SIGMA_DOWN_M = 1.0
+"""Least error of a height."""
 DOWN_MPS = 0.4
 """Growth of the error in height."""
 TURN_FADES_S, CLIMB_FADES_S = 40.0, 20.0
@@ -164,29 +167,45 @@ def _predict(other: Other, own_d: float, ahead: Floats) -> None:
         ahead[row, 3] = math.exp(-until / STEADY_S)
         ahead[row, 4] = math.sqrt(SIGMA_M**2 + (STEADY_SHARE * way) ** 2)
         ahead[row, 5] = math.sqrt(SIGMA_M**2 + (CHANGED_SHARE * way) ** 2)
-        ahead[row, 6] = math.sqrt(other.sigma_down_m**2 + (DOWN_MPS * until) ** 2) if known else math.inf
+        sigma_down = max(other.sigma_down_m, LEAST_SIGMA_DOWN_M)
+        ahead[row, 6] = math.sqrt(sigma_down**2 + (DOWN_MPS * until) ** 2) if known else math.inf
 
 
 @compiled
-def _select(neighbours: Floats, count: int, own: Own, radius: float, speed: float, ahead: Floats) -> bool:
-    """Predict the crewed aircraft that are weighed. Returns whether there is one.
+def _soonest_loss(other: Other, own: Own, radius: float, height: float, speed: float) -> float:
+    """Soonest time (s) at which well clear of an aircraft could be lost, to the side and in height.
 
     Args:
-        radius, speed: distance of well clear, and the own greatest speed.
+        radius, height: well clear.
+        speed: own greatest speed.
     """
-    found = 0
+    n = other.n + other.age_s * other.vn - own.position.n
+    e = other.e + other.age_s * other.ve - own.position.e
+    most = math.sqrt(other.vn * other.vn + other.ve * other.ve) + speed
+    aside = max(math.sqrt(n * n + e * e) - radius, 0.0) / most
+    if other.vertical_known == 0.0:
+        return aside
+    d = other.d + other.age_s * other.vd - own.position.d
+    return max(aside, max(abs(d) - height - 2.0 * other.sigma_down_m, 0.0) / (abs(other.vd) + CLIMB_MOST_MPS))
+
+
+@compiled
+def _select(neighbours: Floats, count: int, own: Own, view: _View, speed: float) -> bool:
+    """Predict the crewed aircraft that are considered. Returns whether there is one.
+
+    Args:
+        view: its `ahead` is written, and the volume of well clear read.
+        speed: the own greatest speed.
+    """
+    found, ahead = 0, view.ahead
     for j in range(count):
         other = other_at(neighbours, j)
         ahead[j, 0, 7], ahead[j, 1, 7], ahead[j, 2, 7] = 0.0, 0.0, math.inf
         if other.crewed != 0.0:
-            found += 1
-            n = other.n + other.age_s * other.vn - own.position.n
-            e = other.e + other.age_s * other.ve - own.position.e
-            most = math.sqrt(other.vn * other.vn + other.ve * other.ve) + speed
-            ahead[j, 2, 7] = max(math.sqrt(n * n + e * e) - radius, 0.0) / most
+            ahead[j, 2, 7] = _soonest_loss(other, own, view.radius_m, view.height_m, speed)
+            found += 1 if ahead[j, 2, 7] <= HORIZON_S else 0
     for j in range(count):
-        other = other_at(neighbours, j)
-        if other.crewed != 0.0:
+        if ahead[j, 2, 7] <= HORIZON_S:
             sooner = 0
             if found > MOST:
                 for i in range(count):
@@ -194,7 +213,7 @@ def _select(neighbours: Floats, count: int, own: Own, radius: float, speed: floa
                     sooner += 1 if others < mine or (others == mine and i < j) else 0
             if sooner < MOST:
                 ahead[j, 1, 7] = 1.0
-                _predict(other, own.position.d, ahead[j])
+                _predict(other_at(neighbours, j), own.position.d, ahead[j])
     return found > 0
 
 
@@ -275,7 +294,8 @@ def _risk(ahead: Floats, way: _Way, view: _View, enough: float) -> float:
         if aside < view.radius_m + 2.0 * at[5]:
             chance = _within(aside, above, view.radius_m, view.height_m, at)
             close = _within(aside, above, NEAR_RADIUS_M, NEAR_HEIGHT_M, at)
-            close = NEAR_WORTH * close + HIT_WORTH * _within(aside, above, HIT_RADIUS_M, HIT_HEIGHT_M, at)
+            depth = max(1.0 - aside / NEAR_RADIUS_M, 0.0)
+            close *= NEAR_WORTH + DEPTH_WORTH * depth
             lost, near = max(lost, chance), max(near, close)
             stays += chance + close
             if lost + near + STAY_WORTH * stays / STEPS >= enough:
@@ -388,17 +408,23 @@ def crewed_wish(
 
     Returns:
         The velocity, and whether there is a conflict: it is another than `wanted`, or flying on is risky.
+        Then at least one aircraft has a risk of `LEAST_RISK` in `ahead`: the riskiest, if none alone has.
     """
     radius = settings.crewed_m / math.sqrt(2.0)
-    if not _select(neighbours, count, own, radius, settings.speed_mps, ahead):
-        return wanted, False
     gap = minus(own.position, point_at(path, path_s))
     follow = _Follow(gap, min(length(gap) / settings.recovery_s, settings.speed_mps), path_s)
-    height = radius / settings.crewed_vertical
-    view = _View(count, ahead, own, path, follow, radius, height)
+    view = _View(count, ahead, own, path, follow, radius, radius / settings.crewed_vertical)
+    if not _select(neighbours, count, own, view, settings.speed_mps):
+        return wanted, False
     risk = _risks(_Way(wanted, 0.0, math.inf, 1.0, 1.0), view, math.inf, True)
     if risk < LEAST_RISK:
         return wanted, False
     least = risk + CHANGE_PRICE * length(minus(wanted, command))
     wish, found = _cheapest(view, wanted, fence, settings, command, least)
-    return wish, found or risk >= CONFLICT_RISK
+    if not (found or risk >= CONFLICT_RISK):
+        return wanted, False
+    riskiest = 0
+    for j in range(count):
+        riskiest = j if ahead[j, 0, 7] > ahead[riskiest, 0, 7] else riskiest
+    ahead[riskiest, 0, 7] = max(ahead[riskiest, 0, 7], LEAST_RISK)
+    return wish, True

@@ -134,6 +134,17 @@ def test_a_turn_is_told_to_the_law():
     assert sky.only(29.0).turn_rps == pytest.approx(math.radians(3.0), rel=1e-3)
 
 
+def test_velocities_from_noisy_positions_are_no_turns():
+    """It flies straight; its positions are 10 m off."""
+    sky = Sky()
+    for second in range(20):
+        noise_m = 10.0 * (-1) ** second
+        sky.take(10.0 + second, report(3000.0 - 30.0 * second, noise_m, velocity_ned_mps=None))
+    found = sky.only(29.0)
+    assert found.turn_rps == 0.0
+    assert found.velocity_ned_mps[0] == pytest.approx(-30.0, abs=3.0)
+
+
 @pytest.mark.parametrize("geometric", [False, True])
 def test_an_altitude_that_is_not_told_is_not_known(geometric):
     sky = Sky()

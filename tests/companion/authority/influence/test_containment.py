@@ -177,3 +177,13 @@ def test_pressed_to_its_border_and_taken_again_it_gains_no_larger_volume(height_
     flight.own.height_m = height_m
     flight.lead((0.0, 0.0, 50.0), leg=((0.0, height_m), (50.0, 50.0)))
     assert flight.heights(1.0)[0] == floor_m
+
+
+@pytest.mark.parametrize(("now_s", "floor_m"), [(0.0, 2.0), (200.0, 15.0)])
+def test_crewed_traffic_presses_lower_only_where_the_leg_is_lower(now_s, floor_m):
+    """The path begins 2 m above home and is at 80 m later."""
+    flight = Flight(own=Own(height_m=80.0))
+    flight.course.lowest_height_m = 2.0
+    flight.lead((0.0, 0.0, 2.0), (300.0, 0.0, 80.0), leg=((0.0, 2.0), (60.0, 80.0), (400.0, 80.0)))
+    flight.containment.note_conflict(now_s, crewed=True)
+    assert flight.heights(now_s)[0] == floor_m

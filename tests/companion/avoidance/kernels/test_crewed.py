@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from companion.avoidance import kernels as k
+from companion.avoidance.kernels.crewed import LEAST_RISK
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
@@ -172,3 +173,36 @@ def test_too_late_to_stay_clear_it_still_makes_room(known: float) -> None:
     assert gives_way
     assert e < -5.0 or (known and abs(d) > 1.0)
     assert math.sqrt(n * n + e * e + d * d) > 2.0
+
+
+def test_ghosts_far_above_crowd_nobody_out() -> None:
+    """A hundred of them hover in the sky over us, in earlier rows of the table."""
+    ghosts = [other((0.0, 0.0, -9000.0 + i)) for i in range(100)]
+    coming = other((1500.0, 0.0, -80.0), (-40.0, 0.0, 0.0))
+    assert not wish_of(*ghosts)[1]
+    assert wish_of(*ghosts, coming) == wish_of(coming)
+
+
+def test_a_conflict_has_a_name_even_if_nobody_alone_would_be_one() -> None:
+    table, work = np.zeros((2, k.OTHER_COLUMNS)), k.workspace(0, 2)
+    for row in range(2):
+        k.put_other(table, row, other((0.0, 300.0, -204.72)))
+    settings = settings_of(AvoidanceConfig(), LimitsConfig(max_speed_mps=10.0), HOVER)
+    own = k.Own(k.Vector(0.0, 0.0, -80.0), k.Vector(0.0, 0.0, 0.0), 1.5, 0.0, 0.0, -50.0, CEILING_D)
+    still, path = k.Vector(0.0, 0.0, 0.0), k.Path(*HOVER.arrays)
+    for count, conflict in ((1, False), (2, True)):
+        found = k.crewed_wish(table, count, own, still, path, 0.0, k.NO_WALLS, settings, still, work.ahead)
+        assert found[1] is conflict
+        assert bool(work.ahead[:count, 0, 7].max() >= LEAST_RISK) is conflict
+
+
+def test_one_that_comes_slowly_from_near_is_backed_off_from() -> None:
+    """60 m away it is within the volume of a near miss; passing through would be the shortest way out."""
+    (n, _, _), gives_way = wish_of(other((60.0, 0.0, -80.0), (-5.0, 0.0, 0.0)))
+    assert gives_way
+    assert n < 0.0
+
+
+def test_a_height_without_an_error_is_no_nan() -> None:
+    exact = other((0.0, 300.0, -157.0), sigma_down_m=0.0)
+    assert wish_of(exact, other((400.0, 0.0, -80.0), (-5.0, 0.0, 0.0)))[1]
