@@ -160,13 +160,13 @@ def collision(threat: Threat) -> Outgoing:
     manoeuvres are neither.
 
     Raises:
-        ValueError: a level that MAVLink does not have, or an ADS-B track whose name is not 24 bits in
-            hexadecimal digits. Both are bugs of ours.
+        ValueError: a level that MAVLink does not have, or an ADS-B track whose name does not begin with
+            24 bits in hexadecimal digits. Both are bugs of ours.
     """
     if threat.level not in _THREAT_LEVELS:
         raise ValueError(f"MAV_COLLISION_THREAT_LEVEL {threat.level} is not defined")
     if threat.adsb:
-        source, number = mavlink.MAV_COLLISION_SRC_ADSB, int(threat.track_id, 16)
+        source, number = mavlink.MAV_COLLISION_SRC_ADSB, int(threat.track_id.partition("/")[0], 16)
         if not 0 <= number <= MAX_ICAO:
             raise ValueError(f"{threat.track_id} is not an ICAO address")
     else:

@@ -56,6 +56,11 @@ _MAX_RANGE_M = 50_000.0
 _STAMP_S = 0.5
 """Mean error of reported ages, which are whole seconds, rounded down."""
 _REPEATED_S = 5.0
+PLACE = "/"
+"""Separates an address from the number of a further place at which it is heard."""
+_OFF_M, _TURNS_MPS2, _FASTEST_MPS = 300.0, 20.0, 600.0
+"""What a report may be off from where its aircraft would be: errors of both positions and of the age, and
+what it may have turned and accelerated meanwhile."""
 _APART_S = 1.0
 _STILL: Vec3 = (0.0, 0.0, 0.0)
 _NOT_CREWED = frozenset({14, 17, 18, 19})
@@ -98,7 +103,10 @@ class AdsbTraffic:
         self._own_pressure_alt_m: float | None = None
         self.full = FullTable("ADS-B traffic", MOST)
         self._own_icao = own_icao
-        self._seen: dict[int, _Seen] = {}
+        self._seen: dict[str, _Seen] = {}
+        """By the names of `_name`: an address may be heard at several places."""
+        self._places = 1
+        """Most places at which an address was ever heard at a time."""
         self._ranking = Ranking()
         self._ranked_s = -math.inf
 
@@ -114,8 +122,8 @@ class AdsbTraffic:
         self.judgement.position, self.judgement.velocity = position, velocity
         if 2 * len(self._seen) >= MOST and now_s >= self._ranked_s + _RANKED_S:
             self._ranked_s = now_s
-            for icao in self._seen:
-                self._rank(icao, now_s)
+            for name in self._seen:
+                self._rank(name, now_s)
 
     def hear(
         self,
@@ -133,21 +141,22 @@ class AdsbTraffic:
         if event.icao == self._own_icao:
             return
         at_s = now_s - event.age_s - _STAMP_S
-        before = self._seen.get(event.icao)
-        told = (event.lat_deg, event.lon_deg, event.alt_m, event.velocity_ned_mps)
-        # ArduPilot repeats the last report for seconds, always with its first age. Reports of an aircraft
-        # that stands still look the same.
-        repeated = before is not None and told == before.told and at_s - before.at_s <= _REPEATED_S
-        if before is not None and (at_s <= before.at_s or (repeated and event.velocity_ned_mps != _STILL)):
-            return
         alt_msl_m = event.alt_m
         if event.alt_geometric and alt_msl_m is not None:
             alt_msl_m = None if separation_m is None else alt_msl_m - separation_m
         position = frame.to_ned(event.lat_deg, event.lon_deg, frame.alt_m if alt_msl_m is None else alt_msl_m)
         if math.hypot(position[0], position[1]) > _MAX_RANGE_M:
             return
-        self._seen.pop(event.icao, None)
-        seen = self._seen[event.icao] = _Seen(
+        told = (event.lat_deg, event.lon_deg, event.alt_m, event.velocity_ned_mps)
+        name = self._name(event.icao, position, told, at_s)
+        before = self._seen.get(name)
+        # ArduPilot repeats the last report for seconds, always with its first age. Reports of an aircraft
+        # that stands still look the same.
+        repeated = before is not None and told == before.told and at_s - before.at_s <= _REPEATED_S
+        if before is not None and (at_s <= before.at_s or (repeated and event.velocity_ned_mps != _STILL)):
+            return
+        self._seen.pop(name, None)
+        seen = self._seen[name] = _Seen(
             position=position,
             velocity=event.velocity_ned_mps or (_STILL if before is None else before.velocity),
             velocity_sent=event.velocity_ned_mps is not None,
@@ -173,9 +182,23 @@ class AdsbTraffic:
                 # The noise of velocities from positions would be taken for turns.
                 passed_s = at_s - before.at_s
                 seen.turn_rps = k.turn_rate(before.turn_rps, before.velocity, seen.velocity, passed_s)
-        self._rank(event.icao, now_s)
+        self._rank(name, now_s)
         if len(self._seen) > MOST:
             self._make_room(now_s)
+
+    def _name(self, icao: int, position: Vec3, told: tuple[object, ...], at_s: float) -> str:
+        """Name of the aircraft that a report is of: `4B1234`. If that one cannot be there, somebody else uses
+        its address, and both go on: `4B1234/2`."""
+        free = 0
+        for place in range(1, self._places + 2):
+            name = f"{icao:06X}" if place == 1 else f"{icao:06X}{PLACE}{place}"
+            seen = self._seen.get(name)
+            if seen is not None and (told == seen.told or _may_be(seen, position, at_s)):
+                return name
+            if seen is None:
+                free = free or place
+        self._places = max(self._places, free)
+        return f"{icao:06X}" if free == 1 else f"{icao:06X}{PLACE}{free}"
 
     def _make_room(self, now_s: float) -> None:
         """Remove one aircraft, unless there are expired ones."""
@@ -183,23 +206,21 @@ class AdsbTraffic:
         if len(self._seen) > MOST:
             victim = self._ranking.first()
             self.full.note(now_s, self._ranking.standing(victim).threat)
-            self._remove(int(victim, 16))
+            self._remove(victim)
 
-    def _rank(self, icao: int, now_s: float) -> None:
+    def _rank(self, name: str, now_s: float) -> None:
         """Place the aircraft where it stands now. Consecutive addresses share an allowance."""
-        seen = self._seen[icao]
+        seen = self._seen[name]
         age_s = max(0.0, now_s - seen.at_s)
         position, known = self._placed(seen, self.judgement.position[2])
         margin = margin_m(SIGMA_M, SIGMA_MPS, age_s, 0.0)
         motion = Motion(position, seen.velocity, age_s, margin, known, seen.crewed)
         trust = Trust.ESTABLISHED if seen.reports >= ESTABLISHED else Trust.FRESH
         was_threat = now_s - seen.threat_s <= HOLD_S
-        standing, threat = self.judgement.standing(
-            motion, trust, False, allowance_of(f"{icao >> 8:04X}"), was_threat
-        )
+        standing, threat = self.judgement.standing(motion, trust, False, allowance_of(name[:4]), was_threat)
         if threat:
             seen.threat_s = now_s
-        self._ranking.place(_name(icao), standing)
+        self._ranking.place(name, standing)
 
     def _placed(self, seen: _Seen, own_down_m: float) -> tuple[Vec3, bool]:
         """Position of an aircraft beside ours, and whether its height is known."""
@@ -210,18 +231,18 @@ class AdsbTraffic:
             return seen.position, abs(down - own_down_m) > BAROMETRIC_M
         return (north, east, own_down_m + self._own_pressure_alt_m - seen.alt_m), True
 
-    def _remove(self, icao: int) -> None:
-        del self._seen[icao]
-        self._ranking.remove(_name(icao))
+    def _remove(self, name: str) -> None:
+        del self._seen[name]
+        self._ranking.remove(name)
 
     def _expire(self, now_s: float) -> None:
-        for icao in [i for i, seen in self._seen.items() if now_s - seen.at_s > EXPIRE_S]:
-            self._remove(icao)
+        for name in [n for n, seen in self._seen.items() if now_s - seen.at_s > EXPIRE_S]:
+            self._remove(name)
 
     def clear(self) -> None:
         """Forget all aircraft, because the local frame of their positions is no longer valid."""
-        for icao in list(self._seen):
-            self._remove(icao)
+        for name in list(self._seen):
+            self._remove(name)
 
     def neighbours(self, now_s: float, own_down_m: float) -> list[Neighbour]:
         """Every aircraft that is not expired, as input of the law. Expired ones are removed.
@@ -237,19 +258,25 @@ class AdsbTraffic:
         """Like `neighbours`, but without a change of state, so that a status display does not affect
         replays."""
         return [
-            _neighbour(icao, seen, now_s, *self._placed(seen, own_down_m))
-            for icao, seen in self._seen.items()
+            _neighbour(name, seen, now_s, *self._placed(seen, own_down_m))
+            for name, seen in self._seen.items()
             if now_s - seen.at_s <= EXPIRE_S
         ]
 
 
-def _name(icao: int) -> str:
-    return f"{icao:06X}"
+def _may_be(seen: _Seen, position: Vec3, at_s: float) -> bool:
+    """Whether an aircraft may be at a place at a time."""
+    apart_s = abs(at_s - seen.at_s)
+    known = seen.velocity_sent or seen.reports > 1
+    (n, e, _), (vn, ve, _) = seen.position, seen.velocity
+    off_m = math.hypot(position[0] - n - vn * (at_s - seen.at_s), position[1] - e - ve * (at_s - seen.at_s))
+    turned_m = 0.5 * _TURNS_MPS2 * apart_s * apart_s if known else math.inf
+    return off_m <= _OFF_M + min(turned_m, _FASTEST_MPS * apart_s)
 
 
-def _neighbour(icao: int, seen: _Seen, now_s: float, position: Vec3, known: bool) -> Neighbour:
+def _neighbour(name: str, seen: _Seen, now_s: float, position: Vec3, known: bool) -> Neighbour:
     return Neighbour(
-        track_id=_name(icao),
+        track_id=name,
         position_ned_m=position,
         velocity_ned_mps=seen.velocity,
         age_s=max(0.0, now_s - seen.at_s),

@@ -157,3 +157,7 @@ def test_remote_id_tracks_have_their_own_numbers() -> None:
 def test_a_traffic_report_that_does_not_fit_is_a_bug(over: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="does not fit into ADSB_VEHICLE"):
         encoders.adsb_vehicle(report(**over))
+
+
+def test_a_second_place_of_an_address_is_told_with_that_address() -> None:
+    assert collision(threat(track_id="4B1234/2", adsb=True)) == collision(threat(track_id="4B1234", adsb=True))

@@ -271,7 +271,7 @@ def test_of_a_long_flight_two_reports_are_kept():
     sky = Sky()
     for tick in range(50):
         sky.take(10.0 + tick, report(1000.0 - tick, velocity_ned_mps=None))
-    newest = sky.traffic._seen[ICAO]
+    newest = sky.traffic._seen["4B1234"]
     assert newest.anchor is not None
     assert newest.anchor.anchor is None
 
@@ -408,3 +408,28 @@ def test_ghosts_that_are_in_conflict_themselves_displace_each_other_and_not_the_
 def test_the_assumed_velocity_error_is_that_of_its_category():
     """NACv 2: 3 m/s at 95 %, which is 1.96 standard deviations."""
     assert pytest.approx(3.0 / 1.96, rel=0.05) == SIGMA_MPS
+
+
+def test_who_uses_another_aircrafts_address_elsewhere_hides_nobody():
+    """It sends each time just after the true one, which comes nearer."""
+    sky = Sky()
+    for second in range(30):
+        now_s, true_m = 10.0 + second, 3000.0 - 40.0 * second
+        sky.take(now_s, report(true_m, velocity_ned_mps=(-40.0, 0.0, 0.0)))
+        sky.take(now_s + 0.05, report(-30_000.0, velocity_ned_mps=(0.0, 0.0, 0.0)))
+        found = {n.track_id: n.position_ned_m[0] for n in sky.at(now_s + 0.05)}
+        assert found == pytest.approx({"4B1234": true_m, "4B1234/2": -30_000.0}, abs=1.0)
+    assert sky.traffic._places == 2
+
+
+def test_one_whose_reports_are_lost_for_a_while_stays_one():
+    """It turns meanwhile, at 60 m/s; another has no velocity in its reports, and a third is repeated."""
+    for over in ({}, {"velocity_ned_mps": None}):
+        sky = Sky()
+        for at_s, place in ((10.0, (3000.0, 0.0)), (11.0, (3000.0, 60.0)), (24.0, (2600.0, 700.0))):
+            sky.take(at_s, report(*place, **{"velocity_ned_mps": (0.0, 60.0, 0.0), **over}))
+        assert [n.track_id for n in sky.at(24.0)] == ["4B1234"]
+    sky = Sky()
+    for second in range(12):
+        sky.take(10.0 + second, report(velocity_ned_mps=(0.0, 200.0, 0.0)))
+    assert [n.track_id for n in sky.at(21.0)] in ([], ["4B1234"])
