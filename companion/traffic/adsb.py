@@ -267,7 +267,7 @@ class AdsbTraffic:
 def _may_be(seen: _Seen, position: Vec3, at_s: float) -> bool:
     """Whether an aircraft may be at a place at a time."""
     apart_s = abs(at_s - seen.at_s)
-    known = seen.velocity_sent or seen.reports > 1
+    known = seen.velocity_sent or seen.velocity != _STILL
     (n, e, _), (vn, ve, _) = seen.position, seen.velocity
     off_m = math.hypot(position[0] - n - vn * (at_s - seen.at_s), position[1] - e - ve * (at_s - seen.at_s))
     turned_m = 0.5 * _TURNS_MPS2 * apart_s * apart_s if known else math.inf

@@ -433,3 +433,11 @@ def test_one_whose_reports_are_lost_for_a_while_stays_one():
     for second in range(12):
         sky.take(10.0 + second, report(velocity_ned_mps=(0.0, 200.0, 0.0)))
     assert [n.track_id for n in sky.at(21.0)] in ([], ["4B1234"])
+
+
+def test_a_fast_one_whose_velocity_is_not_known_yet_is_not_taken_for_two():
+    """At 250 m/s; its first two reports are too close in time to compute a velocity."""
+    sky = Sky()
+    for at_s in (10.0, 10.5, 13.5):
+        sky.take(at_s, report(250.0 * at_s, velocity_ned_mps=None))
+    assert [n.track_id for n in sky.at(13.5)] == ["4B1234"]
