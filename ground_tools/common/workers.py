@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import Final, TypeVar
 
 from rich.console import Console
@@ -15,6 +16,7 @@ from companion.errors import ConfigError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Outcome = TypeVar("Outcome")
 _INTERRUPTED: Final = "Interrupted. With --out, finished flights are kept and the same command continues."
 
 
@@ -41,13 +43,76 @@ def in_parallel(
             words.print(_INTERRUPTED)
             raise
         return
+    with _pool(min(processes, len(items)), words) as pool:
+        futures = {pool.submit(function, item): item for item in items}
+        for future in as_completed(futures):
+            yield futures.pop(future), future.result()
+
+
+def rounds_in_parallel(
+    function: Callable[[Item], Result],
+    works: Sequence[Generator[list[Item], list[Result], Outcome]],
+    processes: int,
+    words: Console,
+) -> Iterator[tuple[int, Outcome]]:
+    """Run works that proceed in rounds side by side; yield the number and the outcome of each that ends.
+
+    Args:
+        function: The work for one item, a top-level function of a module.
+        works: Each yields the items of its next round, receives their results in the same order, and returns
+            its outcome. They share the workers, so that a work may use more than one.
+        processes: Number of worker processes; with 1, everything runs in this one.
+        words: Console for the message about Ctrl-C.
+
+    Raises:
+        ConfigError: A worker was killed from outside.
+    """
+    if processes <= 1:
+        for number, work in enumerate(works):
+            yield number, _alone(function, work)
+        return
+    with _pool(processes, words) as pool:
+        rounds: dict[int, list[Future[Result]]] = {}
+        waiting: set[Future[Result]] = set()
+        ready: list[tuple[int, list[Result] | None]] = [(number, None) for number in range(len(works))]
+        while ready or waiting:
+            for number, results in ready:
+                try:
+                    items = next(works[number]) if results is None else works[number].send(results)
+                except StopIteration as end:
+                    rounds.pop(number, None)
+                    yield number, end.value
+                    continue
+                rounds[number] = [pool.submit(function, item) for item in items]
+                waiting.update(rounds[number])
+            if waiting and all(rounds.values()):
+                waiting = wait(waiting, return_when=FIRST_COMPLETED).not_done
+            ready = [
+                (number, [future.result() for future in futures])
+                for number, futures in sorted(rounds.items())
+                if all(future.done() for future in futures)
+            ]
+
+
+def _alone(function: Callable[[Item], Result], work: Generator[list[Item], list[Result], Outcome]) -> Outcome:
+    """Run one work in this process."""
+    try:
+        items = next(work)
+        while True:
+            items = work.send([function(item) for item in items])
+    except StopIteration as end:
+        outcome: Outcome = end.value
+        return outcome
+
+
+@contextmanager
+def _pool(processes: int, words: Console) -> Iterator[ProcessPoolExecutor]:
+    """Worker processes that ignore Ctrl-C and are stopped when this process receives it."""
     context = multiprocessing.get_context("spawn")
     ignored = (signal.SIGINT, signal.SIG_IGN)
-    with ProcessPoolExecutor(min(processes, len(items)), context, signal.signal, ignored) as pool:
+    with ProcessPoolExecutor(processes, context, signal.signal, ignored) as pool:
         try:
-            futures = {pool.submit(function, item): item for item in items}
-            for future in as_completed(futures):
-                yield futures.pop(future), future.result()
+            yield pool
         except BrokenProcessPool as error:
             raise ConfigError(
                 "a worker process was killed (out of memory?); with --out, finished flights are kept and the "

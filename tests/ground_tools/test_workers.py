@@ -6,13 +6,14 @@ import multiprocessing
 import os
 import signal
 import time
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 from companion.errors import ConfigError
-from ground_tools.common.workers import in_parallel
+from ground_tools.common.workers import in_parallel, rounds_in_parallel
 
 
 def square(number: int) -> int:
@@ -28,6 +29,25 @@ def test_every_item_comes_with_its_result():
     assert sorted(in_parallel(square, range(5), 2, Console())) == [(n, n * n) for n in range(5)]
     assert list(in_parallel(square, range(3), 1, Console())) == [(n, n * n) for n in range(3)]
     assert list(in_parallel(square, (), 2, Console())) == []
+
+
+def sums(numbers: list[int], rounds: int) -> Generator[list[int], list[int], int]:
+    total = 0
+    for _ in range(rounds):
+        total += sum((yield numbers))
+    return total
+
+
+@pytest.mark.parametrize("processes", [1, 3])
+def test_works_in_rounds_receive_their_own_results(processes: int):
+    works = [sums([1, 2], 3), sums([], 2), sums([5], 1), sums([1], 0)]
+    found = dict(rounds_in_parallel(square, works, processes, Console()))
+    assert found == {0: 15, 1: 0, 2: 25, 3: 0}
+
+
+def test_a_worker_that_is_killed_in_a_round_is_said():
+    with pytest.raises(ConfigError, match="a worker process was killed"):
+        list(rounds_in_parallel(killed, [sums([1], 1)], 2, Console()))
 
 
 def test_a_worker_that_is_killed_is_said():

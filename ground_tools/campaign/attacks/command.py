@@ -21,13 +21,12 @@ from ground_tools.channel import options
 from ground_tools.common.kept_lines import Kept
 from ground_tools.common.progress import progress
 from ground_tools.common.run_options import processes_of, seeds_of
-from ground_tools.common.workers import in_parallel
+from ground_tools.common.workers import in_parallel, rounds_in_parallel
 
 _AT_ONCE: Final = 5
 _NAMES: Final = (*KINDS, "worst")
 
 Part = tuple[Cell, list[int]]
-Search = tuple[Cell, int]
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -132,21 +131,12 @@ def _run_worst(args: argparse.Namespace, seeds: Sequence[int], jobs: int) -> int
     if args.out is not None:
         options.make_folder(args.out)
     items = [(_cell(args, kind), seed) for kind in args.of or ["free"] for seed in seeds]
-    work = functools.partial(_search, harm=args.harm, budget=args.evaluations)
+    told = None if args.out is None else functools.partial(_keep, args.out)
+    searches = [search.worst(cell, seed, args.harm, args.evaluations, told) for cell, seed in items]
     results: list[search.Found] = []
     with progress("searches", len(items)) as advance:
-        for _, found in in_parallel(work, items, jobs, Console(stderr=True)):
+        for _, found in rounds_in_parallel(search.fly, searches, jobs, Console(stderr=True)):
             results.append(found)
-            if args.out is not None:
-                case = kept.Case(
-                    about=f"{found.harm}: the worst of {found.evaluations} flights of a search",
-                    cell=found.cell,
-                    seed=found.seed,
-                    attack=found.attack,
-                    found=found.row,
-                    found_with=kept.software(),
-                )
-                kept.write(args.out / f"{found.cell.kind}-{found.harm}-{found.seed}.json", case)
             advance()
     results.sort(key=lambda found: -search.harm_of(found.row, found.harm))
     if args.json:
@@ -161,9 +151,18 @@ def _run_worst(args: argparse.Namespace, seeds: Sequence[int], jobs: int) -> int
     return 0
 
 
-def _search(item: Search, harm: search.Harm, budget: int) -> search.Found:
-    cell, seed = item
-    return search.worst(cell, seed, harm, budget)
+def _keep(folder: Path, found: search.Found) -> None:
+    """Write the worst case of a search so far."""
+    case = kept.Case(
+        about=f"{found.harm}: the worst of {found.evaluations} flights of a search",
+        cell=found.cell,
+        seed=found.seed,
+        attack=found.attack,
+        found=found.row,
+        found_with=kept.software(),
+    )
+    name = f"{found.cell.kind}-{found.cell.intruder}-{found.harm}-{found.seed}.json"
+    kept.write(folder / name, case)
 
 
 def _cell(args: argparse.Namespace, kind: str) -> Cell:

@@ -6,7 +6,7 @@ transmitter's physical limits. Every evaluation flies one encounter. A scene and
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import Any, Final, Literal
 
 import msgspec
@@ -15,7 +15,7 @@ import numpy as np
 from companion.errors import ConfigError
 from companion.shipped import how_to_install
 from ground_tools.campaign.attacks import flight
-from ground_tools.campaign.attacks.kinds import KINDS, Attack, attack_at
+from ground_tools.campaign.attacks.kinds import KINDS, Attack, attack_at, draw_attack
 from ground_tools.campaign.attacks.outcome import Row
 from ground_tools.campaign.attacks.scene import Cell
 
@@ -24,6 +24,10 @@ HARMS: Final = ("separation", "held", "aside", "height", "fence")
 _FIRST_SIGMA: Final = 0.3
 _ALONE_M: Final = 1000.0
 """Separation of an aircraft that meets nobody."""
+
+
+Flight = tuple[Cell, int, Attack]
+"""Encounter of a seed, and the attack that is flown in it."""
 
 
 class Found(msgspec.Struct, frozen=True):
@@ -55,13 +59,15 @@ def harm_of(row: Row, harm: Harm) -> float:
 
 
 def worst(
-    cell: Cell, seed: int, harm: Harm, budget: int, told: Callable[[int, float], None] | None = None
-) -> Found:
+    cell: Cell, seed: int, harm: Harm, budget: int, told: Callable[[Found], None] | None = None
+) -> Generator[list[Flight], list[Row], Found]:
     """Search for the attack of the cell's kind that does the most harm in the encounter of a seed.
+
+    Yields the flights of each generation, receives their rows, and returns the worst.
 
     Args:
         budget: number of flights.
-        told: called after each generation with the flights so far and the most harm found.
+        told: called after each generation with the worst so far.
 
     Raises:
         ConfigError: the package `cma` is not installed.
@@ -71,8 +77,9 @@ def worst(
     except ImportError as error:
         raise ConfigError(how_to_install("cma", "search")) from error
     count = len(KINDS[cell.kind].parameters)
-    drawn = flight.fly(cell, seed)
-    best: tuple[float, Attack, Row] | None = None
+    (row,) = yield [(cell, seed, draw_attack(cell.kind, seed))]
+    drawn = round(harm_of(row, harm), 3)
+    best: Found | None = None
     options: dict[str, Any] = {
         "bounds": [0.0, 1.0], "seed": seed + 1, "maxfevals": budget, "verbose": -9, "verb_log": 0,
     }  # fmt: skip
@@ -82,20 +89,24 @@ def worst(
         strategy = cma.CMAEvolutionStrategy(start, _FIRST_SIGMA, options)
         while not strategy.stop() and flown < budget:
             points = strategy.ask()
-            costs = []
-            for point in points:
-                attack = attack_at(cell.kind, point.tolist())
-                row = flight.fly(cell, seed, attack)
-                found = harm_of(row, harm)
-                costs.append(-found)
-                flown += 1
-                if best is None or found > best[0]:
-                    best = found, attack, row
-            strategy.tell(points, costs)
-            if told is not None and best is not None:
-                told(flown, best[0])
+            attacks = [attack_at(cell.kind, point.tolist()) for point in points]
+            rows = yield [(cell, seed, attack) for attack in attacks]
+            flown += len(rows)
+            for attack, row in zip(attacks, rows, strict=True):
+                if best is None or harm_of(row, harm) > harm_of(best.row, harm):
+                    best = Found(cell, seed, harm, flown, drawn, attack, row)
+            assert best is not None
+            best = msgspec.structs.replace(best, evaluations=flown)
+            strategy.tell(points, [-harm_of(row, harm) for row in rows])
+            if told is not None:
+                told(best)
         # A search that has converged begins anew elsewhere.
         start = np.random.default_rng([seed, 23, flown]).random(count)
         options["seed"] += 1
     assert best is not None
-    return Found(cell, seed, harm, flown, round(harm_of(drawn, harm), 3), best[1], best[2])
+    return best
+
+
+def fly(flight_: Flight) -> Row:
+    """Fly one attack in the encounter of a seed."""
+    return flight.fly(*flight_)

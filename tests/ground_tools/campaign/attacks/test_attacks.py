@@ -8,6 +8,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
+from rich.console import Console
 
 from companion.errors import ConfigError
 from companion.radio.frames_io import FrameReceiver, radio_address
@@ -22,6 +23,7 @@ from ground_tools.campaign.attacks.kinds import KINDS, Attack, attack_at, draw_a
 from ground_tools.campaign.attacks.messages import HOME, geodetic, location, report
 from ground_tools.campaign.attacks.outcome import Judge, least_distance
 from ground_tools.campaign.attacks.scene import Cell
+from ground_tools.common.workers import rounds_in_parallel
 from sitl_mocks.encounters.lockstep import UTC_AT_START_S
 
 MEETING_KINDS = [kind for kind in KINDS if kind not in scene.LEADING]
@@ -270,10 +272,14 @@ def test_a_search_is_reproducible_and_finds_no_less_than_it_flew():
     pytest.importorskip("cma")
     told = []
     cell = Cell(kind="liar", intruder="blind")
-    first = search.worst(cell, 2, "separation", 7, lambda flown, most: told.append((flown, most)))
-    again = search.worst(cell, 2, "separation", 7)
-    assert first == again
-    assert [most for _, most in told] == sorted(most for _, most in told)
+    words = Console()
+    ((_, first),) = rounds_in_parallel(
+        search.fly, [search.worst(cell, 2, "separation", 7, told.append)], 1, words
+    )
+    ((_, again),) = rounds_in_parallel(search.fly, [search.worst(cell, 2, "separation", 7)], 2, words)
+    assert first == again == told[-1]
+    harms = [search.harm_of(found.row, "separation") for found in told]
+    assert harms == sorted(harms)
     first.attack.check()
     assert fly(cell, 2, first.attack) == first.row
 
