@@ -106,6 +106,8 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """Turn rate, positive to the right; for crewed traffic."""
     sigma_down_m: float = 0.0
     """Error of the difference of its height and ours, one standard deviation; for crewed traffic."""
+    yields: bool = False
+    """True: it presses on us, and is avoided only as far as all others allow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,7 +282,7 @@ class Law:
                 entries += (
                     age_s if age_s > 0.0 else 0.0, n.sigma_m, n.sigma_mps, n.growth_mps, n.silent, n.share,
                     n.vertical_known, n.crewed, n.growth_down_mps, n.turn_rps,
-                    n.sigma_down_m,
+                    n.sigma_down_m, n.yields,
                 )  # fmt: skip
         if len(usable) > len(self._table):
             self._room(2 * len(usable))
@@ -387,6 +389,7 @@ def _views(neighbours: Sequence[Neighbour], seen: Floats) -> tuple[TrackView, ..
                 active=active != 0.0,
                 adsb=neighbour.adsb,
                 height_m=height_m,
+                yields=neighbour.yields,
             )
             for neighbour, (n, e, d, radius_m, conflict, time_s, distance_m, active, height_m) in zip(
                 neighbours, seen.tolist(), strict=True

@@ -63,7 +63,7 @@ class AllowanceSpent(Command, frozen=True):
 
     scope: Literal["track", "group", "low", "total", "crewed", "squeeze"]
     """Whose: one track's, its group's, all but the reserve of the total, the total, crewed traffic's total.
-    "squeeze": tracks that press on the aircraft are left out for a while, to avoid another."""
+    "squeeze": tracks that press on the aircraft are avoided only as far as another allows."""
     track_id: str = ""
     """The track, the track of the group that was in conflict last, or the one that is avoided instead."""
     spent: bool = True

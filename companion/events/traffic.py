@@ -111,6 +111,8 @@ class TrackView(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, g
     """True if the track was heard by ADS-B."""
     height_m: float = 0.0
     """Half height of the volume whose radius is `radius_m`; 0 in records that do not have it."""
+    yields: bool = False
+    """True if it was avoided only as far as all others allowed (`Neighbour.yields`)."""
 
 
 class Decision(Command, frozen=True):

@@ -10,10 +10,9 @@ Rules, each against one way around the others:
 - A track has `track_s`, of which it may be inside its volume around the aircraft for `inside_s`: an honest
   aircraft that is avoided does not stay there. Its memory outlives the track, so that silence renews nothing,
   and a track that is first heard inside its volume takes over what the last ones there have used.
-- A track that has been inside for `remembered.PRESSES_S`, or follows the aircraft (`following`), yields to
-  others: while any other is near or in conflict, it is left out. Between both there may be no way out, and
-  the law would divide the violation between them. It is avoided again if the aircraft comes nearer to it than
-  before.
+- A track that was first heard inside its volume, has been there for `remembered.PRESSES_S`, or follows the
+  aircraft (`following`), yields: it is avoided only as far as all others allow. Between both there may be no
+  way out, and the law would divide the violation between them.
 - Tracks of one group have `group_s` together. Once that is spent, each of them has a quarter of `track_s`: a
   fake cannot spend the allowance of an honest aircraft by sounding like it.
 - All of them have `total_s` for the time in which the aircraft is held, the way back included. The last
@@ -33,6 +32,8 @@ import math
 from collections.abc import Container, Iterable, Sequence
 from typing import Literal, NamedTuple
 
+import msgspec
+
 from companion.authority.influence.following import Followers
 from companion.authority.influence.remembered import WHOLE, Key, Remembered, Used
 from companion.avoidance.law import ASIDE, VERTICAL_SCALE, LawResult, Neighbour
@@ -47,9 +48,8 @@ HELD_S = 60.0
 """After the last conflict, the time that the aircraft is held is charged for this long at most."""
 _STEP_S = 1.0
 """Most time that is charged for one decision."""
-_SQUEEZED_S = 3.0
-"""A track that presses is left out until no other has been near, or in conflict, for this long."""
-_NEAR_M = 300.0
+_SQUEEZED_S = 15.0
+"""That a track yields to another is told again when it has not for this long."""
 _NEW_S, _HEIR_S = 2.0, 15.0
 """A track is new for `_NEW_S`. It takes over what tracks have used that were heard within `_HEIR_S`."""
 _MOST = 1000
@@ -85,7 +85,7 @@ class Allowances:
         self._conflict_s = {False: -math.inf, True: -math.inf}
         """Time of the last conflict with unproven traffic that is not crewed, and that is."""
         self._charged_s = self._squeezed_s = -math.inf
-        """Times of the last charge, and of the last decision in which tracks that press were left out."""
+        """Times of the last charge, and of the last decision in which a track yielded to another."""
         self._said_s = -math.inf
         self._told: list[Command] = []
         self.hold: str | None = None
@@ -105,7 +105,7 @@ class Allowances:
     def admitted(
         self, now_s: float, here: Vec3, velocity: Vec3, neighbours: Sequence[Neighbour]
     ) -> list[Neighbour]:
-        """The neighbours that the law is to avoid, in their order.
+        """The neighbours that the law is to avoid, in their order, and which of them yield.
 
         Args:
             here, velocity: own position and velocity (NED, m and m/s).
@@ -128,11 +128,16 @@ class Allowances:
                 known.see(now_s, _predicted(other))
             places[place] = known
         self._forget(now_s)
-        return [
-            other
-            for other in neighbours
-            if other.proven or self._counts(now_s, places[other.adsb, other.track_id])
-        ]
+        found = []
+        for other in neighbours:
+            if other.proven:
+                found.append(other)
+                continue
+            known = places[other.adsb, other.track_id]
+            if self._counts(now_s, known):
+                yields = known.yields and not (other.crewed or known.stands(now_s))
+                found.append(msgspec.structs.replace(other, yields=True) if yields else other)
+        return found
 
     def _met(self, now_s: float, key: Key, other: Neighbour) -> Remembered:
         known = self._tracks[key] = Remembered(key, other, now_s, now_s, _predicted(other), now_s)
@@ -145,8 +150,6 @@ class Allowances:
             return True
         if other.crewed:
             return config.crewed_then == "hold" or not self._crewed.spent
-        if known.presses and now_s - self._squeezed_s < _SQUEEZED_S:
-            return False
         little = known.used.used_s <= RESERVE * config.track_s
         if known.spent or (not little and self._group_spent(other)):
             return False
@@ -197,7 +200,7 @@ class Allowances:
         self._charge_tracks(now_s, passed_s, charged, inside)
         counts = held and (self._guards or not back)
         self._charge_totals(now_s, passed_s if counts else 0.0)
-        self._squeeze(now_s, here, result)
+        self._tell_squeeze(now_s, result)
         self.hold = self._why_hold(
             [known.latest for known, blocks in acting if blocks and self._counts(now_s, known)]
         )
@@ -206,37 +209,11 @@ class Allowances:
         """Let tracks that were first heard inside their volumes take over what others have used."""
         for known in inside:
             if not known.entered and now_s - known.first_s <= _NEW_S:
+                known.appeared = True
                 known.inherit(
                     t for t in self._tracks.values() if t.pressed_s and now_s - t.heard_s <= _HEIR_S
                 )
             known.entered = True
-
-    def _squeeze(self, now_s: float, here: Vec3, result: LawResult) -> None:
-        """Note whether tracks that press are to be left out, because another track is near or in conflict."""
-        going_on = now_s - self._squeezed_s < _SQUEEZED_S
-        if not going_on and not any(known.presses for known in self._places.values()):
-            return
-        pressing: dict[Remembered, None] = {}
-        others: list[TrackView] = []
-        for view in result.tracks:
-            known = self._places.get((view.adsb, view.track_id))
-            if known is not None and known.presses and not known.stands(now_s):
-                pressing[known] = None
-            else:
-                others.append(view)
-        close = [
-            view
-            for view in others
-            if view.conflict or view.active or math.dist(view.position_ned_m, here) < _NEAR_M
-        ]
-        if not close or not (pressing or going_on):
-            return
-        self._squeezed_s = now_s
-        if not going_on:
-            name = close[0].track_id.partition(ASIDE)[0]
-            left_out = ", ".join(known.key[1] for known in pressing)
-            text = f"{left_out} left out, as {name} is near"
-            self._told.append(AllowanceSpent(scope="squeeze", track_id=name, text=text))
 
     def _charge_tracks(
         self, now_s: float, passed_s: float, charged: Sequence[Remembered], inside: Container[Remembered]
@@ -244,13 +221,12 @@ class Allowances:
         config = self._config
         groups = {known.latest.group for known in charged if known.latest.group}
         acting = set(charged)
-        going_on = now_s - self._squeezed_s < _SQUEEZED_S
         for known in [k for k in self._tracks.values() if k.used.used_s or k.pressed_s or k in acting]:
             acts = known in acting
             within = acts and known in inside
             if within:
                 known.pressed_s += passed_s
-            elif known.pressed_s and not going_on:
+            elif known.pressed_s:
                 known.pressed_s = max(0.0, known.pressed_s - 0.5 * passed_s)
             before = known.spent
             if acts or known.used.used_s:
@@ -319,6 +295,18 @@ class Allowances:
         if now_s - self._said_s >= _SAY_S:
             self._said_s = now_s
             self._told.append(Say(severity=Severity.WARNING, text=f"DMUCA: {text}"))
+
+    def _tell_squeeze(self, now_s: float, result: LawResult) -> None:
+        """Log that tracks which press are avoided only as far as another in our way allows."""
+        acting = [view for view in result.tracks if view.conflict or view.active]
+        yielding = [view.track_id for view in acting if view.yields]
+        others = [view.track_id.partition(ASIDE)[0] for view in acting if not view.yields]
+        if not yielding or not others:
+            return
+        if now_s - self._squeezed_s > _SQUEEZED_S:
+            text = f"{', '.join(yielding)} avoided only as far as {others[0]} allows"
+            self._told.append(AllowanceSpent(scope="squeeze", track_id=others[0], text=text))
+        self._squeezed_s = now_s
 
     def _tell_low(self) -> None:
         if self._config.then == "resume":

@@ -22,9 +22,6 @@ from companion.geometry import Vec3
 from companion.laws import kind_of
 from companion.ownship import Ownship
 
-CEILING_M = 120.0
-"""Ceiling above home if none is configured and the mission flies no higher than `above_m` below it. It does
-not apply to crewed traffic."""
 _BEYOND_M = 10.0
 """An aircraft that is farther outside of a volume than this when it is taken was not pushed there within that
 volume. One that is less far outside was pressed to its border, and must not gain a larger one."""
@@ -166,8 +163,6 @@ class Containment:
                 floor = max(floor, min(LEAST_HEIGHT_M, least, top - LEAST_LAYER_M))
             return floor, min(top, max(most + self._crewed_above_m, floor + LEAST_LAYER_M))
         floor = max(floor, min(least - config.below_m, top - LEAST_LAYER_M))
-        if ceiling is None:
-            top = max(CEILING_M, high + config.above_m)
         return floor, min(top, max(most + config.above_m, floor + LEAST_LAYER_M))
 
 

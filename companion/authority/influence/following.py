@@ -7,7 +7,8 @@ us while we were pushed off our way, although that is not where it would be
 - if it had flown straight on since the conflict began: it bends as we do; or
 - by the velocities that it reports: it seems to come nearer all the time, but does not.
 
-What follows us when we give way keeps its distance also when we come back.
+What follows us when we give way keeps its distance also when we come back. One that follows is avoided as
+before, but only as far as all others allow (`Neighbour.yields`): it cannot push us into them.
 """
 
 from __future__ import annotations
@@ -29,12 +30,8 @@ _MOST = 32
 """Most conflicts that are examined at a time."""
 _FRESH_S = 2.0
 """Greatest age of a message that shows where a track is beside us."""
-_NEARER = 0.75
-"""A track that comes nearer than this share of the distance at which it has followed does not follow."""
-_SOON_S, _TRUE_MPS = 2.0, 1.0
-"""So does one that will have come so near soon, if the velocities that it reported were true to this."""
 _BEGINS_S = 5.0
-"""After so long without a conflict, another begins."""
+"""After so long without a conflict, another begins; after `_HEIR_S`, if it followed."""
 
 
 @dataclass(slots=True)
@@ -53,13 +50,10 @@ class _Conflict:
     beside: Vec3
     """Place of the track relative to us when it was last heard."""
     at_s: float
-    """Time of the last conflict, or for one that follows, of its last message."""
+    """Time of the last conflict."""
     since_s: float
     """Time since which it has followed."""
-    follows_at_m: float = 0.0
-    """Distance at which it was found to follow; 0: it was not."""
-    truthful: bool = False
-    """Until then it flew as it reports."""
+    follows: bool = False
 
     def look(self, now_s: float, own: Vec3, place: Vec3, mps: Vec3) -> None:
         """Take in the present state during the conflict."""
@@ -75,9 +69,12 @@ class _Conflict:
             or not (with_us or math.dist(place, self.reported) > max(PUSHED_M, 0.5 * pushed_m))
         ):
             self.since_s = now_s
-        elif not self.follows_at_m and now_s - self.since_s >= _LASTS_S:
-            self.follows_at_m = math.hypot(*self.beside)
-            self.truthful = math.dist(place, self.reported) <= _TRUE_MPS * passed_s
+        elif now_s - self.since_s >= _LASTS_S:
+            self.follows = True
+
+    def over(self, now_s: float) -> bool:
+        """Whether the next conflict with the track is another one."""
+        return now_s - self.at_s > (_HEIR_S if self.follows else _BEGINS_S)
 
 
 class Followers:
@@ -100,21 +97,14 @@ class Followers:
         if found is None:
             return False
         if other.age_s <= _FRESH_S:
-            found.beside = soon = _beside(own, own_mps, other)
-            if found.truthful:
-                soon = _after(soon, _SOON_S, _minus(other.velocity_ned_mps, own_mps))
-            if math.hypot(*soon) < _NEARER * found.follows_at_m:
-                del self._conflicts[key]
-                return False
-            if found.follows_at_m:
-                found.at_s = now_s
-        return found.follows_at_m > 0.0
+            found.beside = _beside(own, own_mps, other)
+        return found.follows and not found.over(now_s)
 
     def conflict(self, now_s: float, key: Hashable, own: Vec3, own_mps: Vec3, other: Neighbour) -> None:
         """Take in that a track is in conflict now. Call `hear` before."""
         place, mps = _after(other.position_ned_m, other.age_s, other.velocity_ned_mps), other.velocity_ned_mps
         found = self._conflicts.get(key)
-        if found is None or now_s - found.at_s > _BEGINS_S:
+        if found is None or found.over(now_s):
             self._forget(now_s)
             if len(self._conflicts) >= _MOST:
                 return
@@ -132,7 +122,7 @@ class Followers:
     def _forget(self, now_s: float) -> None:
         old = [key for key, c in self._conflicts.items() if now_s - c.at_s > _HEIR_S]
         if len(self._conflicts) - len(old) >= _MOST:
-            old = [key for key, c in self._conflicts.items() if now_s > c.at_s and not c.follows_at_m]
+            old = [key for key, c in self._conflicts.items() if now_s > c.at_s and not c.follows]
         for key in old:
             del self._conflicts[key]
 

@@ -57,6 +57,8 @@ class Remembered:
     """Time in conflict and inside its volume."""
     pressed_s: float = 0.0
     follows: bool = False
+    appeared: bool = False
+    """It was inside its volume when it was first heard."""
     entered: bool = False
     """It has been inside its volume."""
     reserved: bool = False
@@ -73,6 +75,11 @@ class Remembered:
     def presses(self) -> bool:
         """Whether it has been inside its volume for long, or follows the aircraft."""
         return self.pressed_s >= PRESSES_S or self.follows
+
+    @property
+    def yields(self) -> bool:
+        """Whether it is avoided only as far as all others allow."""
+        return self.presses or self.appeared
 
     def inherit(self, others: Iterable[Remembered]) -> None:
         """Take over the most that other tracks have used."""

@@ -23,7 +23,6 @@ from companion.avoidance.kernels.crewed import crewed_wish, turn_rate
 from companion.avoidance.kernels.decide import (
     BOUNDARY_LAG_S,
     ON_PLANE_MPS,
-    SLACK_MPS,
     decide,
     decide_plain,
     down_speeds,
@@ -65,6 +64,7 @@ from companion.avoidance.kernels.powers import (
     note_power,
     suspicion,
 )
+from companion.avoidance.kernels.priority import SLACK_MPS, Asked, allowed, put_last, solve_in_order
 from companion.avoidance.kernels.programs import Aim, half_space, solve
 from companion.avoidance.kernels.settings import (
     DMUCA,
@@ -146,6 +146,7 @@ __all__ = [
     "SOURCES",
     "STOP_LAG_S",
     "Aim",
+    "Asked",
     "Bounds",
     "Decision",
     "History",
@@ -164,6 +165,7 @@ __all__ = [
     "Workspace",
     "after_area",
     "all_within",
+    "allowed",
     "closest",
     "closing",
     "crewed_wish",
@@ -192,6 +194,7 @@ __all__ = [
     "plane_at",
     "plane_rows",
     "point_at",
+    "put_last",
     "put_other",
     "put_past",
     "put_plane",
@@ -199,6 +202,7 @@ __all__ = [
     "settings_at",
     "silent_after",
     "solve",
+    "solve_in_order",
     "suspicion",
     "turn_rate",
     "wall_at",

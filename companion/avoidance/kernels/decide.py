@@ -35,7 +35,8 @@ from companion.avoidance.kernels.neighbours import (
     silent_after,
 )
 from companion.avoidance.kernels.powers import HYPOTHESES, note_power, suspicion
-from companion.avoidance.kernels.programs import EPSILON, solve
+from companion.avoidance.kernels.priority import Asked, put_last, solve_in_order
+from companion.avoidance.kernels.programs import EPSILON
 from companion.avoidance.kernels.settings import (
     DMUCA,
     NONE,
@@ -72,8 +73,6 @@ from companion.avoidance.kernels.vectors import (
 )
 from companion.avoidance.kernels.walls import NO_WALLS, inside
 
-SLACK_MPS = 0.02
-"""Slack for `programs.solve` in a decision that cannot satisfy every plane."""
 ON_PLANE_MPS = 1e-6
 """A plane bounds a velocity that satisfies it by at most this."""
 BOUNDARY_LAG_S = 1.0
@@ -272,18 +271,27 @@ def decide(
     site = Site(fence, here, ahead, margin, settings.speed_mps, settings.acceleration_mps2)
     hard, first = _fence_first(site, before, change, least, most, work.planes)
     wish, gives_way = wanted, False
-    if law == DMUCA:
-        wish, gives_way = crewed_wish(
-            neighbours, count, own, wanted, path, own.path_time_s - delay_s, fence, settings, before,
-            work.ahead,
-        )  # fmt: skip
     after, conflict, on_right = neighbour_planes(
         neighbours, count, own, wish, settings, history, samples, work.planes, first, work.seen, work.asked
     )
+    last = put_last(neighbours, count, work.planes, first, after, work.asked)
+    asked = Asked(work.planes, hard, first, last, after, work.scratch)
+    if law == DMUCA:
+        wish, gives_way = crewed_wish(
+            neighbours, count, own, wanted, path, own.path_time_s - delay_s, fence, settings, before,
+            work.ahead, asked,
+        )  # fmt: skip
+    if gives_way:  # the conflict is that of the new wish, and the planes were reordered
+        _fence_first(site, before, change, least, most, work.planes)
+        after, conflict, on_right = neighbour_planes(
+            neighbours, count, own, wish, settings, history, samples, work.planes, first, work.seen,
+            work.asked,
+        )  # fmt: skip
+        put_last(neighbours, count, work.planes, first, after, work.asked)
     if conflict and not on_right:
         wish = _turned(wish, settings.right_rad)
     conflict = conflict or gives_way
-    feasible, solved = solve(work.planes, hard, after, settings.speed_mps, SLACK_MPS, wish, work.scratch)
+    feasible, solved = solve_in_order(asked, settings.speed_mps, wish)
     at_least, at_most, at_fence = _bounded(work, count, hard, solved)
     if gives_way:
         _note_crewed(neighbours, count, work)

@@ -119,6 +119,8 @@ class Other(NamedTuple):
     """Turn rate of crewed traffic, positive to the right."""
     sigma_down_m: float
     """Error of the height of crewed traffic beside ours."""
+    yields: float
+    """1: its planes are kept only as far as those of all others allow."""
 
 
 class Seen(NamedTuple):
@@ -238,7 +240,7 @@ def other_at(neighbours: Floats, row: int) -> Other:
     r = neighbours[row]
     return Other(
         r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11], r[12], r[13], r[14],
-        r[15], r[16],
+        r[15], r[16], r[17],
     )  # fmt: skip
 
 
@@ -249,7 +251,7 @@ def put_other(neighbours: Floats, row: int, other: Other) -> None:
     r[0], r[1], r[2], r[3], r[4], r[5] = other.n, other.e, other.d, other.vn, other.ve, other.vd
     r[6], r[7], r[8], r[9] = other.age_s, other.sigma_m, other.sigma_mps, other.growth_mps
     r[10], r[11], r[12], r[13] = other.silent, other.share, other.vertical_known, other.crewed
-    r[14], r[15], r[16] = other.growth_down_mps, other.turn_rps, other.sigma_down_m
+    r[14], r[15], r[16], r[17] = other.growth_down_mps, other.turn_rps, other.sigma_down_m, other.yields
 
 
 @compiled

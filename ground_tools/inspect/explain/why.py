@@ -264,6 +264,7 @@ class Explainer:
             growth_down_mps=(taller + QUANTUM_MPS * age) / ahead if taller > 0.0 else 0.0,
             turn_rps=0.0,
             sigma_down_m=SIGMA_DOWN_M if crewed else 0.0,
+            yields=float(track.yields),
         )
 
     def _crewed(self, track: TrackView) -> bool:

@@ -54,7 +54,7 @@ class Sky:
                     track_id=o.track_id, position_ned_m=o.position_ned_m, velocity_ned_mps=o.velocity_ned_mps,
                     age_s=0.0, radius_m=radius_m, conflict=o.track_id not in self.quiet,
                     time_to_closest_s=5.0, closest_m=0.0, active=o.track_id not in self.quiet, adsb=o.adsb,
-                    height_m=height_m,
+                    height_m=height_m, yields=o.yields,
                 )
                 for o in admitted
             )  # fmt: skip
@@ -62,6 +62,7 @@ class Sky:
             self.all.charge(self.now_s, ZERO, ZERO, result, held=held, back=back)
             self.told += self.all.told()
             self.hold = self.hold or self.all.hold
+        self.yielding = {o.track_id for o in admitted if o.yields}
         return [o.track_id for o in admitted]
 
     def scopes(self):
@@ -137,17 +138,37 @@ def test_a_new_name_inside_takes_over_what_the_last_one_used():
 
 
 @pytest.mark.parametrize("stands", [True, False])
-def test_a_track_that_presses_yields_to_another_unless_it_stood_there_before(stands):
+def test_a_track_that_presses_yields_unless_it_stood_there_before(stands):
     sky = Sky(ContainmentConfig())
-    velocity = (0.0, 0.0, 0.0) if stands else (0.7, 0.0, 0.0)
-    assert sky.run(35.0, other("A", at=(5.0, 0.0, 0.0), velocity=velocity), radius_m=60.0) == ["A"]
-    place = (5.0, 0.0, 0.0) if stands else (29.5, 0.0, 0.0)
-    both = (
-        other("A", at=place, velocity=velocity),
-        other("B", at=(200.0, 0.0, 0.0), velocity=(-6.0, 0.0, 0.0)),
+    velocity = ZERO if stands else (0.7, 0.0, 0.0)
+    far = other("A", at=(70.0, 0.0, 0.0), velocity=ZERO)
+    sky.run(2.4, far, radius_m=60.0)
+    assert sky.run(25.0, other("A", at=(5.0, 0.0, 0.0), velocity=velocity), radius_m=60.0) == ["A"]
+    assert not sky.yielding
+    place = (5.0, 0.0, 0.0) if stands else (22.5, 0.0, 0.0)
+    coming = other("B", at=(200.0, 0.0, 0.0), velocity=(-6.0, 0.0, 0.0))
+    assert sky.run(10.0, other("A", at=place, velocity=velocity), coming, radius_m=60.0) == ["A", "B"]
+    assert sky.yielding == (set() if stands else {"A"})
+    assert (("squeeze", True) in sky.scopes()) is not stands
+
+
+@pytest.mark.parametrize(("away_m", "yields"), [(7.0, True), (12.0, False)])
+def test_who_is_first_heard_inside_its_volume_yields(away_m, yields):
+    """It is avoided all the same."""
+    sky = Sky()
+    assert sky.run(5.0, other("A", at=(away_m, 0.0, 0.0), velocity=ZERO)) == ["A"]
+    assert sky.yielding == ({"A"} if yields else set())
+    sky.run(5.0, other("A", at=(200.0, 0.0, 0.0), velocity=ZERO))
+    assert sky.yielding == ({"A"} if yields else set())
+
+
+def test_crewed_and_proven_traffic_never_yields():
+    sky = Sky()
+    near = {"at": (5.0, 0.0, 0.0)}
+    sky.run(
+        5.0, other("A", crewed=True, adsb=True, **near), other("B", proven=True, **near), other("C", **near)
     )
-    assert sky.run(1.0, *both, radius_m=60.0) == (["A", "B"] if stands else ["B"])
-    assert sky.run(4.0, other("A", at=place, velocity=velocity), radius_m=60.0) == ["A"]
+    assert sky.yielding == {"C"}
 
 
 def test_a_group_shares_and_each_of_it_keeps_a_quarter_of_a_tracks():
@@ -286,23 +307,20 @@ def test_a_track_that_appears_inside_takes_over_the_most_of_what_others_have_use
     assert heir.pressed_s == pytest.approx(18.8, abs=1.0)
 
 
-def test_a_track_that_presses_yields_only_to_those_that_are_near():
-    """Beyond 300 m and without a conflict nobody is squeezed."""
-    for away_m, left in ((290.0, ["B"]), (310.0, ["A", "B"])):
-        sky = Sky(msgspec.structs.replace(SHORT, track_s=300.0, inside_s=200.0, total_s=900.0))
-        sky.run(31.0, other("A", at=(5.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)))
-        sky.quiet = {"B"}
-        sky.run(
-            1.0,
-            other("A", at=(5.0, 0.0, 0.0), velocity=(16.0, 0.0, 0.0)),
-            other("B", at=(0.0, away_m, 0.0), velocity=(0.0, 0.0, 0.0)),
-        )
-        found = sky.run(
-            0.4,
-            other("A", at=(5.0, 0.0, 0.0), velocity=(16.0, 0.0, 0.0)),
-            other("B", at=(0.0, away_m, 0.0), velocity=(0.0, 0.0, 0.0)),
-        )
-        assert found == left
+def test_it_is_told_once_that_a_track_yields_to_another():
+    """Again only after it has not for a while."""
+    sky, presses, other_one = Sky(), other("A", at=(5.0, 0.0, 0.0)), other("B", at=(90.0, 0.0, 0.0))
+
+    def told():
+        return [c.text for c in sky.told if isinstance(c, AllowanceSpent)]
+
+    sky.run(3.0, presses, other_one)
+    sky.run(2.0, other_one)
+    sky.run(3.0, presses, other_one)
+    assert told() == ["A avoided only as far as B allows"]
+    sky.run(16.0, other_one)
+    sky.run(3.0, presses, other_one)
+    assert told() == ["A avoided only as far as B allows"] * 2
 
 
 def test_it_is_recorded_when_a_total_is_whole_again():

@@ -122,18 +122,14 @@ def test_names_that_change_faster_than_one_can_be_judged_are_judged_together():
     assert first < 19.0
 
 
-def test_one_that_followed_is_avoided_again_when_it_comes_nearer():
-    """A real aircraft that no longer follows, towards which we fly."""
+def test_one_that_followed_does_not_follow_any_more_15_s_after_the_conflict():
+    """Whatever it does meanwhile: nearness alone is no way back."""
     pair, offset = Pair(), np.array((0.0, -24.0, 0.0))
     assert pair.fly(16.0, "A", ghost(offset)) is not None
-    stays, nearest = pair.own + offset, None
-    pair._pushed_mps = -4.0
-    for step in range(20):
-        place = stays + step * PERIOD_S * np.array([7.0, 0.0, 0.0])
-        followed = pair.step(A=(place, (7.0, 0.0, 0.0)))
-        if not followed and nearest is None:
-            nearest = math.dist(place, pair.own)
-    assert nearest > 14.0
+    other = Neighbour("A", tuple(pair.own - [0.0, 5.0, 0.0]), (7.0, 0.0, 0.0), 0.0, 3.0)
+    for later_s, follows in ((1.0, True), (14.9, True), (15.1, False)):
+        own = tuple(pair.own.tolist()), tuple(pair.own_mps.tolist())
+        assert pair.followers.hear(pair.now_s + later_s, "A", *own, other) is follows
 
 
 def test_what_is_remembered_is_bounded():

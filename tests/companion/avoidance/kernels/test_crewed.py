@@ -21,7 +21,7 @@ FLOOR_D, CEILING_D = -20.0, -150.0
 
 def other(position: Any, velocity: Any = (0.0, 0.0, 0.0), **more: float) -> k.Other:
     values = {"age_s": 0.0, "sigma_m": 15.0, "sigma_mps": 1.5, "growth_mps": 0.0, "silent": 0.0, "share": 1.0}
-    values |= {"vertical_known": 1.0, "crewed": 1.0, "growth_down_mps": 0.0, "turn_rps": 0.0}
+    values |= {"vertical_known": 1.0, "crewed": 1.0, "growth_down_mps": 0.0, "turn_rps": 0.0, "yields": 0.0}
     return k.Other(*map(float, (*position, *velocity)), **{**values, "sigma_down_m": 15.0, **more})
 
 
@@ -36,8 +36,9 @@ def wish_of(
     own = k.Own(k.Vector(*at), velocity, 1.5, 0.0, 0.0, FLOOR_D, CEILING_D)
     settings = settings_of(AvoidanceConfig(), LimitsConfig(max_speed_mps=10.0), path)
     wish, gives_way = k.crewed_wish(
-        table, len(others), own, velocity, k.Path(*path.arrays), 0.0, walls, settings, velocity, work.ahead
-    )
+        table, len(others), own, velocity, k.Path(*path.arrays), 0.0, walls, settings, velocity, work.ahead,
+        k.Asked(work.planes, 0, 0, 0, 0, work.scratch),
+    )  # fmt: skip
     return tuple(wish), bool(gives_way)
 
 
@@ -191,7 +192,10 @@ def test_a_conflict_has_a_name_even_if_nobody_alone_would_be_one() -> None:
     own = k.Own(k.Vector(0.0, 0.0, -80.0), k.Vector(0.0, 0.0, 0.0), 1.5, 0.0, 0.0, -50.0, CEILING_D)
     still, path = k.Vector(0.0, 0.0, 0.0), k.Path(*HOVER.arrays)
     for count, conflict in ((1, False), (2, True)):
-        found = k.crewed_wish(table, count, own, still, path, 0.0, k.NO_WALLS, settings, still, work.ahead)
+        nothing = k.Asked(work.planes, 0, 0, 0, 0, work.scratch)
+        found = k.crewed_wish(
+            table, count, own, still, path, 0.0, k.NO_WALLS, settings, still, work.ahead, nothing
+        )
         assert found[1] is conflict
         assert bool(work.ahead[:count, 0, 7].max() >= LEAST_RISK) is conflict
 

@@ -60,7 +60,7 @@ def other(position: Any, velocity: Any = (0.0, 0.0, 0.0), age_s: float = 0.0, **
     """Positions are given from ours."""
     values = {"sigma_m": 0.0, "sigma_mps": 0.0, "growth_mps": 0.0, "silent": 0.0, "share": 0.5}
     values |= {"vertical_known": 1.0, "crewed": 0.0, "growth_down_mps": 0.0, "turn_rps": 0.0}
-    values |= {"sigma_down_m": 0.0, **more}
+    values |= {"sigma_down_m": 0.0, "yields": 0.0, **more}
     n, e, d = (a + b for a, b in zip(position, PLACE, strict=True))
     return k.Other(n, e, d, *velocity, age_s, **values)
 

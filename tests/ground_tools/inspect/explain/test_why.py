@@ -148,7 +148,7 @@ def test_the_volume_of_a_track_is_the_one_that_was_logged(crewed, growth_mps, gr
     growths = (0.0, 0.0) if crewed else (growth_mps, growth_down_mps)
     there = k.Other(
         200, 0, -51, -5, 0, 0, 1.5, 3.0, 0.4, growths[0], 0.0, 0.5, 1.0, float(crewed), growths[1],
-        0.0, 0.0,
+        0.0, 0.0, 0.0,
     )  # fmt: skip
     flown = volume_of(there, own, settings)
     view = track(radius_m=flown.radius, height_m=flown.radius / flown.scale, age_s=1.5, adsb=crewed)

@@ -1,0 +1,95 @@
+"""The order in which the planes of a decision count: limits and fence, aircraft, and aircraft that yield.
+
+An aircraft yields if it presses on us (`companion.authority.influence`). Were its plane one among all, a
+ghost that stays inside its volume could push us into another aircraft: where both planes cannot be kept,
+the violation is divided between them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from companion.arrays import Floats
+from companion.avoidance.kernels.compiled import compiled
+from companion.avoidance.kernels.neighbours import NEVER_MPS, other_at
+from companion.avoidance.kernels.programs import solve
+from companion.avoidance.kernels.vectors import Vector, dot, plane_at, put_plane
+
+SLACK_MPS = 0.02
+"""Slack for `programs.solve` in a decision that cannot satisfy every plane."""
+
+
+class Asked(NamedTuple):
+    """The planes of a decision, in the order in which they count."""
+
+    planes: Floats
+    hard: int
+    """Number of the hard ones, which come first."""
+    first: int
+    """Row of the first neighbour's plane."""
+    last: int
+    """Row of the first one that is kept only as far as all before it allow."""
+    rows: int
+    """Number of all."""
+    scratch: Floats
+    """As large as `planes`."""
+
+
+@compiled
+def put_last(neighbours: Floats, count: int, planes: Floats, first: int, last: int, asked: Floats) -> int:
+    """Move the planes of those that yield behind the others. Returns the first row of theirs.
+
+    Args:
+        neighbours, count: table of neighbours, and how many of its rows count.
+        planes: their planes are in the rows `first` to `last`; written.
+        asked: as `neighbour_planes` has written it.
+    """
+    yielding = 0
+    for j in range(count):
+        yielding += 1 if other_at(neighbours, j).yields != 0.0 else 0
+    if yielding == 0:
+        return last
+    at, split = first, last
+    for turn in range(2):
+        for j in range(count):
+            if (other_at(neighbours, j).yields != 0.0) == (turn == 1):
+                for which in range(2):
+                    plane = plane_at(asked[j], which)
+                    if dot(plane.normal, plane.normal) > 0.0:
+                        put_plane(planes, at, plane.normal, plane.least)
+                        at += 1
+        if turn == 0:
+            split = at
+    while at < last:  # crewed traffic has no planes
+        put_plane(planes, at, Vector(0.0, 0.0, 1.0), -NEVER_MPS)
+        at += 1
+    return split
+
+
+@compiled
+def solve_in_order(asked: Asked, speed: float, wish: Vector) -> tuple[bool, Vector]:
+    """Find the velocity as `solve` does; the last planes count only where all others leave a choice.
+
+    Args:
+        asked: the planes; those after the hard ones are reordered, the last ones among themselves.
+        speed: greatest speed, m/s.
+        wish: m/s.
+
+    Returns:
+        Whether every plane is satisfied, and the velocity.
+    """
+    planes, last, scratch = asked.planes, asked.last, asked.scratch
+    feasible, v = solve(planes, asked.hard, last, speed, SLACK_MPS, wish, scratch)
+    if feasible and last < asked.rows:
+        return solve(planes, last, asked.rows, speed, SLACK_MPS, wish, scratch)
+    return feasible and last == asked.rows, v
+
+
+@compiled
+def allowed(asked: Asked, speed: float, wish: Vector) -> Vector:
+    """What the planes of other aircraft leave of a velocity. Arguments are those of `solve_in_order`."""
+    for row in range(asked.first, asked.rows):
+        plane = plane_at(asked.planes, row)
+        if dot(plane.normal, wish) < plane.least:
+            return solve_in_order(asked, speed, wish)[1]
+    return wish
