@@ -57,7 +57,9 @@ class _Conflict:
 
     def look(self, now_s: float, own: Vec3, place: Vec3, mps: Vec3) -> None:
         """Take in the present state during the conflict."""
-        self.reported, self.at_s = _after(self.reported, now_s - self.at_s, mps), now_s
+        if now_s - self.at_s > _LASTS_S:
+            self.since_s = now_s
+        self.go_on(now_s, mps)
         passed_s = now_s - self.began_s
         pushed = _minus(own, _after(self.own, passed_s, self.own_mps))
         pushed_m = math.hypot(*pushed)
@@ -71,6 +73,10 @@ class _Conflict:
             self.since_s = now_s
         elif now_s - self.since_s >= _LASTS_S:
             self.follows = True
+
+    def go_on(self, now_s: float, mps: Vec3) -> None:
+        """Take in the velocity (m/s) that has been reported since the last conflict."""
+        self.reported, self.at_s = _after(self.reported, now_s - self.at_s, mps), now_s
 
     def over(self, now_s: float) -> bool:
         """Whether the next conflict with the track is another one."""
@@ -110,14 +116,18 @@ class Followers:
                 return
             beside = _beside(own, own_mps, other)
             fresh = _Conflict(now_s, own, own_mps, place, mps, beside, place, beside, now_s, now_s)
-            found = self._conflicts[key] = self._earlier(now_s, beside) or fresh
+            self._conflicts.pop(key, None)
+            found = self._conflicts[key] = self._earlier(now_s, beside, mps) or fresh
         found.look(now_s, own, place, mps)
 
-    def _earlier(self, now_s: float, beside: Vec3) -> _Conflict | None:
+    def _earlier(self, now_s: float, beside: Vec3, mps: Vec3) -> _Conflict | None:
         """The conflict that goes on under another name: a track had this place beside us."""
         near = (c for c in self._conflicts.values() if math.dist(beside, c.beside) <= PUSHED_M)
         found = next(near, None)
-        return None if found is None else replace(found, at_s=now_s)
+        if found is not None:
+            found = replace(found)
+            found.go_on(now_s, mps)
+        return found
 
     def _forget(self, now_s: float) -> None:
         old = [key for key, c in self._conflicts.items() if now_s - c.at_s > _HEIR_S]

@@ -96,6 +96,21 @@ def test_blind_aircraft_that_fly_straight_or_turn_do_not_follow(where, seed):
     assert Pair(message_s=1.0, noise_m=2.0, seed=seed).fly(40.0, "HONEST", where) is None
 
 
+@pytest.mark.parametrize("gap_s", [1.4, 5.4, 7.0])
+def test_one_that_flies_straight_and_is_in_conflict_now_and_then_does_not_follow(gap_s):
+    """When the conflict began we were pushed already, and then flew straight on beside it. Where it would be by
+    its reports is known across the gaps, under its own name and under another's."""
+    pair = Pair(pushed_mps=0.0)
+    where = line((0.0, -20.0, 0.0), (7.0, 0.0, 0.0))
+    pair.followers.conflict(
+        0.1, "HONEST", (0.0, 0.0, 0.0), (7.0, 4.0, 0.0), Neighbour("HONEST", *where(pair), 0.0, 3.0)
+    )
+    for n in range(12):
+        assert pair.fly(2.4, ("HONEST", "OTHER")[n // 3 % 2], where) is None
+        pair.now_s += gap_s
+        pair.own = pair.own + gap_s * pair.own_mps
+
+
 def test_one_that_avoids_by_turning_the_other_way_does_not_follow():
     def where(pair):
         away = -4.0 * max(pair.now_s - 10.0, 0.0)
