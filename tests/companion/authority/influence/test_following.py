@@ -98,8 +98,8 @@ def test_blind_aircraft_that_fly_straight_or_turn_do_not_follow(where, seed):
 
 @pytest.mark.parametrize("gap_s", [1.4, 5.4, 7.0])
 def test_one_that_flies_straight_and_is_in_conflict_now_and_then_does_not_follow(gap_s):
-    """When the conflict began we were pushed already, and then flew straight on beside it. Where it would be by
-    its reports is known across the gaps, under its own name and under another's."""
+    """When the conflict began we were pushed already, and then flew straight on beside it. What it reports is
+    followed across the gaps, under its own name and under another's."""
     pair = Pair(pushed_mps=0.0)
     where = line((0.0, -20.0, 0.0), (7.0, 0.0, 0.0))
     pair.followers.conflict(
