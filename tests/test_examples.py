@@ -1,5 +1,6 @@
 """The example projects in docs/examples do what they say."""
 
+import os
 import runpy
 from pathlib import Path
 
@@ -7,7 +8,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.config import AtmcConfig
+from companion.avoidance.law import LawResult, Neighbour, Situation
+from companion.config import AtmcConfig, AvoidanceConfig, LimitsConfig
+from companion.errors import ConfigError
+from companion.events import TrackView
 from sitl_mocks.air.air_settings import AirSettings
 from sitl_mocks.encounters import choosing, lockstep
 from sitl_mocks.encounters.scenario_file import PathSettings, Scenario
@@ -72,3 +76,51 @@ def test_layers_that_do_not_fit_are_refused(example, layers, words):
         example["freeze_layers"](
             [(np.zeros(weight), np.zeros(bias)) for weight, bias in layers], np.zeros((2, 4)), name="x"
         )
+
+
+def daidalus():
+    return runpy.run_path(str(EXAMPLES / "plugin-daidalus" / "dmuca_daidalus.py"))
+
+
+def test_a_missing_library_of_daidalus_is_said(tmp_path, monkeypatch):
+    monkeypatch.setenv("DMUCA_DAIDALUS", str(tmp_path / "none.so"))
+    with pytest.raises(ConfigError, match=r"DAIDALUS: .*none.so: .*build.sh"):
+        daidalus()["Daidalus"](AvoidanceConfig())
+
+
+@pytest.mark.skipif(
+    "DMUCA_DAIDALUS" not in os.environ, reason="DMUCA_DAIDALUS names no library (docs/peers.md#daidalus)"
+)
+def test_daidalus_advises_the_nearest_direction_or_speed_once_a_second():
+    law = daidalus()["Daidalus"](AvoidanceConfig())
+    wanted, here = (5.0, 0.0, 0.0), (0.0, 0.0, -50.0)
+
+    def asked(now_s, *others):
+        tracks = tuple(
+            TrackView(
+                track_id=str(n), position_ned_m=place, velocity_ned_mps=velocity, age_s=0.0, radius_m=24.0,
+                conflict=True, time_to_closest_s=9.0, closest_m=0.0,
+            )
+            for n, (place, velocity) in enumerate(others)
+        )  # fmt: skip
+        follow = LawResult(wanted, wanted, True, bool(others), False, (), tracks)
+        neighbours = tuple(
+            Neighbour(t.track_id, t.position_ned_m, t.velocity_ned_mps, 0.0, 3.0) for t in tracks
+        )
+        situation = Situation(now_s, now_s, here, wanted, 1.5, neighbours)
+        return law.choose(situation, follow, LimitsConfig(max_speed_mps=8.0))
+
+    head_on = ((100.0, 0.0, -50.0), (-5.0, 0.0, 0.0))
+    assert asked(0.0) == wanted
+    assert asked(0.5, head_on) == wanted
+    n, e, d = asked(1.0, head_on)
+    assert np.hypot(n, e) == pytest.approx(5.0)
+    # The least turn that passes 25 m aside, within a step of two degrees.
+    assert np.degrees(np.arctan2(abs(e), n)) == pytest.approx(
+        np.degrees(2.0 * np.arcsin(25.0 / 100.0)), abs=3.0
+    )
+    assert d == 0.0
+    far_above = ((100.0, 0.0, -90.0), (-5.0, 0.0, 0.0))
+    assert asked(2.0, far_above) == wanted
+    caught_up = ((-40.0, 0.0, -50.0), (7.5, 0.0, 0.0))
+    assert asked(3.0, caught_up) != wanted

@@ -10,7 +10,7 @@ import math
 from itertools import pairwise
 
 from companion.config import Config
-from companion.events import FenceArea, GlobalPosition, Parameter, VehicleParameters
+from companion.events import ClockRead, FenceArea, GlobalPosition, Parameter, VehicleParameters
 from companion.gate.rules import Broken, Rule
 from companion.geometry import LocalFrame, Vec3
 
@@ -31,6 +31,9 @@ _LONGEST_S = 1.0
 _LATE_S = 0.5
 _DRIFT = 1e-3
 _CLOCKLESS_S = 10.0
+_SLOW = 0.05
+"""Largest rate at which the vehicle's clock may fall behind ours, if its answers prove that it does. Crystals
+are a thousand times better; a simulator on a busy computer is not."""
 _MIXED_S, _LONGEST_MIXED_S = 0.25, 10.0
 """Autopilots stamp some messages when they are measured and others when they are sent. On a link that keeps
 their order, a message is no more than `_MIXED_S` older than one that came before it. A link that mixes old
@@ -76,6 +79,8 @@ class Bounds:
         """Newest times of the vehicle's clock: `_boot_s` of a position, `_stamp_s` of any message."""
         self._clock_s = -math.inf
         """Time at which a message last carried the vehicle's clock."""
+        self._read_s = -math.inf
+        """Time of the last answer about that clock."""
         self._mixed_until_s = -math.inf
         """Time until which old messages may still arrive among new ones."""
         self._frame: LocalFrame | None = None
@@ -105,6 +110,18 @@ class Bounds:
         passed_s = max(time_boot_s - self._stamp_s, 0.0)
         self._offset_s = min(now_s - time_boot_s, self._offset_s + _DRIFT * passed_s)
         self._stamp_s, self._clock_s = max(time_boot_s, self._stamp_s), now_s
+
+    def hear_answer(self, event: ClockRead, now_s: float) -> None:
+        """Take in an answer about the vehicle's clock (TIMESYNC).
+
+        The clock was read after we asked. If it shows an earlier time than its messages let expect, the clock
+        has fallen behind, and the messages are not late.
+        """
+        proven_s = event.asked_s - event.time_boot_s
+        if proven_s > self._offset_s and event.time_boot_s > self._stamp_s - _RESTART_S:
+            allowed_s = self._offset_s + _SLOW * max(now_s - self._read_s, 0.0)
+            self._offset_s = min(proven_s, allowed_s) if self._read_s > -math.inf else self._offset_s
+        self._read_s = now_s
 
     def hear_position(self, event: GlobalPosition, now_s: float) -> None:
         """Take in GLOBAL_POSITION_INT, dated by the vehicle's own clock."""

@@ -37,6 +37,7 @@ from companion.autopilot.wire import (
 )
 from companion.config import Config
 from companion.events import (
+    ClockRead,
     CurrentMode,
     Event,
     FenceDownloaded,
@@ -170,6 +171,8 @@ class Gate:
             case LocalPosition() | VehicleTime():
                 self._bounds.hear_clock(event.time_boot_s, now_s)
                 self._fresh = self._fresh and not self._bounds.late(now_s)
+            case ClockRead():
+                self._bounds.hear_answer(event, now_s)
             case Heartbeat() | CurrentMode():
                 overtaken = event.overtaken or self._bounds.mixed(now_s)
                 self._fresh = self._fresh or (self._is_news(now_s) and not overtaken)

@@ -14,7 +14,7 @@ from tests.companion.conftest import config
 from tests.sitl_mocks.onboard.delayed import WATCHING, Delayed
 
 LATE = "by its own clock, the vehicle's messages arrive"
-SLOW = "the vehicle's clock runs at 0.953 of ours: " + LATE
+SLOW = "the vehicle's clock runs at 0.930 of ours: " + LATE
 RECENT = "; nothing is commanded until its messages are recent and show the mode"
 KEPT = "; nothing is commanded until it keeps time and the companion is restarted"
 
@@ -61,7 +61,7 @@ def test_messages_that_are_held_up_are_named_with_what_follows(firmware):
 
 @pytest.mark.parametrize("firmware", Firmware)
 def test_a_clock_that_runs_slow_is_named_and_still_refused(firmware):
-    link = Flown(firmware, rate=0.953)
+    link = Flown(firmware, rate=0.93)
     link.run(5.0)
     assert link.status["state"] == "guarding"
     link.run(40.0)
@@ -69,7 +69,16 @@ def test_a_clock_that_runs_slow_is_named_and_still_refused(firmware):
     assert link.status["waits_for"].startswith(SLOW)
     assert link.status["waits_for"].endswith(KEPT)
     named = [text.startswith(f"DMUCA: {SLOW}") and text.endswith(KEPT) for text in link.warned]
-    assert named == [False, True]
+    assert named == [True]
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_a_clock_that_runs_a_little_slow_is_flown_by(firmware):
+    """As that of PX4's simulator on a busy computer."""
+    link = Flown(firmware, rate=0.967)
+    link.run(120.0)
+    assert link.status["state"] == "guarding"
+    assert not link.warned
 
 
 def test_a_companion_that_only_watches_warns_of_nothing_that_it_would_not_do_anyway():
