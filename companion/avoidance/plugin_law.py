@@ -8,6 +8,7 @@ law. An exception, or anything but three finite numbers, ends its use: `PluginLa
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Protocol
 
 import msgspec
@@ -24,6 +25,7 @@ from companion.geometry import Vec3
 
 _MOST_MPS = 1e6
 """Largest magnitude of a component that a plug-in may ask for. The limits bound what is commanded."""
+_NEAR_M = 300.0
 _HALF_S = 0.5
 """Half the length in time of the straight path whose velocity is the wish of the plug-in."""
 
@@ -39,7 +41,8 @@ class OwnLaw(Protocol):
         """Choose the velocity to fly now (NED, m/s). It need not keep the limits.
 
         Args:
-            situation: own state, and all neighbours that are not too old, sorted by their ids.
+            situation: own state, and all neighbours that are not too old, sorted by their ids. Those that
+                press on us (`Neighbour.yields`) are left out while any other is within 300 m.
             follow: the decision that follows the path and avoids nobody: the velocity along the path
                 (`wanted_ned_mps`), whether it would enter the volume of a neighbour (`conflict`), and the
                 neighbours as they are predicted now, with the radius of the volume of each (`tracks`).
@@ -84,6 +87,7 @@ class PluginLaw(Law):
         Raises:
             ValueError: as for `Law.decide`.
         """
+        situation = _without_yielding(situation)
         follow = super().decide(situation)
         wish = self._wish(situation, follow)
         (n, e, d), velocity, sigma, now_s, path_s, floor_d, ceiling_d = own_of(situation)
@@ -118,6 +122,23 @@ class PluginLaw(Law):
 
     def _fail(self, error: BaseException) -> None:
         self.fault = f"law {self._plugin} failed: {plugins.cause(error)}"
+
+
+def _without_yielding(situation: Situation) -> Situation:
+    """The situation without aircraft that yield, if another is near. Our own laws avoid them as far as all
+    others allow; a plug-in's knows no such order."""
+    here, others = situation.position_ned_m, situation.neighbours
+    if all(not other.yields for other in others):
+        return situation
+    kept = tuple(other for other in others if not other.yields)
+    if not any(math.dist(_now(other), here) < _NEAR_M for other in kept):
+        return situation
+    return dataclasses.replace(situation, neighbours=kept)
+
+
+def _now(other: Neighbour) -> Vec3:
+    (n, e, d), (vn, ve, vd), age = other.position_ned_m, other.velocity_ned_mps, max(other.age_s, 0.0)
+    return n + age * vn, e + age * ve, d + age * vd
 
 
 def _velocity(answer: Vec3) -> Vec3:

@@ -50,6 +50,8 @@ _STEP_S = 1.0
 """Most time that is charged for one decision."""
 _SQUEEZED_S = 15.0
 """That a track yields to another is told again when it has not for this long."""
+_SILENT_S = 2.0
+"""A track that was not there for longer than this is taken for another one, whatever its name."""
 _NEW_S, _HEIR_S = 2.0, 15.0
 """A track is new for `_NEW_S`. It takes over what tracks have used that were heard within `_HEIR_S`."""
 _MOST = 1000
@@ -87,6 +89,8 @@ class Allowances:
         self._charged_s = self._squeezed_s = -math.inf
         """Times of the last charge, and of the last decision in which a track yielded to another."""
         self._said_s = -math.inf
+        self._looked_s = -math.inf
+        """Time of the latest decision."""
         self._told: list[Command] = []
         self.hold: str | None = None
         """Why the vehicle is to be asked to hold, in words; None: it is not."""
@@ -121,12 +125,16 @@ class Allowances:
                 key = other.adsb, other.track_id.partition(ASIDE)[0]
             known = tracks.get(key) or self._met(now_s, key, other)
             if key is place:
+                if self._looked_s - known.heard_s > _SILENT_S:
+                    known = tracks[key] = known.renewed(now_s, other, _predicted(other))
+                    self._followers.forget(key)
                 known.latest = other
                 known.follows = key in self._followers and self._followers.hear(
                     now_s, key, here, velocity, other
                 )
                 known.see(now_s, _predicted(other))
             places[place] = known
+        self._looked_s = now_s
         self._forget(now_s)
         found = []
         for other in neighbours:
@@ -135,7 +143,7 @@ class Allowances:
                 continue
             known = places[other.adsb, other.track_id]
             if self._counts(now_s, known):
-                yields = known.yields and not (other.crewed or known.stands(now_s))
+                yields = known.yields(now_s) and not (other.crewed or known.stands(now_s))
                 found.append(msgspec.structs.replace(other, yields=True) if yields else other)
         return found
 
@@ -209,11 +217,13 @@ class Allowances:
         """Let tracks that were first heard inside their volumes take over what others have used."""
         for known in inside:
             if not known.entered and now_s - known.first_s <= _NEW_S:
-                known.appeared = True
+                known.appeared_s = now_s
                 known.inherit(
                     t for t in self._tracks.values() if t.pressed_s and now_s - t.heard_s <= _HEIR_S
                 )
             known.entered = True
+            if known.appears(now_s):
+                known.appeared_s = now_s
 
     def _charge_tracks(
         self, now_s: float, passed_s: float, charged: Sequence[Remembered], inside: Container[Remembered]
@@ -297,14 +307,14 @@ class Allowances:
             self._told.append(Say(severity=Severity.WARNING, text=f"DMUCA: {text}"))
 
     def _tell_squeeze(self, now_s: float, result: LawResult) -> None:
-        """Log that tracks which press are avoided only as far as another in our way allows."""
+        """Log that tracks which press yield to another in our way."""
         acting = [view for view in result.tracks if view.conflict or view.active]
         yielding = [view.track_id for view in acting if view.yields]
         others = [view.track_id.partition(ASIDE)[0] for view in acting if not view.yields]
         if not yielding or not others:
             return
         if now_s - self._squeezed_s > _SQUEEZED_S:
-            text = f"{', '.join(yielding)} avoided only as far as {others[0]} allows"
+            text = f"{', '.join(yielding)} yields to {others[0]}"
             self._told.append(AllowanceSpent(scope="squeeze", track_id=others[0], text=text))
         self._squeezed_s = now_s
 

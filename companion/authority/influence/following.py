@@ -48,7 +48,8 @@ class _Conflict:
     reported: Vec3
     """Where the track would be by the velocities that it has reported since."""
     beside: Vec3
-    """Place of the track relative to us when it was last heard."""
+    """Place of the track relative to us when it was last heard; of one that follows, when it was found to.
+    Whoever appears there is its heir: it cannot choose its heir by moving."""
     at_s: float
     """Time of the last conflict."""
     since_s: float
@@ -102,7 +103,7 @@ class Followers:
         found = self._conflicts.get(key)
         if found is None:
             return False
-        if other.age_s <= _FRESH_S:
+        if other.age_s <= _FRESH_S and not found.follows:
             found.beside = _beside(own, own_mps, other)
         return found.follows and not found.over(now_s)
 
@@ -119,6 +120,11 @@ class Followers:
             self._conflicts.pop(key, None)
             found = self._conflicts[key] = self._earlier(now_s, beside, mps) or fresh
         found.look(now_s, own, place, mps)
+
+    def forget(self, key: Hashable) -> None:
+        """Take a track for another one from now on. Its place remains for an heir."""
+        if key in self._conflicts:
+            self._conflicts[object()] = self._conflicts.pop(key)
 
     def _earlier(self, now_s: float, beside: Vec3, mps: Vec3) -> _Conflict | None:
         """The conflict that goes on under another name: a track had this place beside us."""

@@ -13,6 +13,7 @@ WHOLE = 0.5
 """A spent allowance counts as spent until this share of it is used."""
 STANDS_M, STANDS_S = 15.0, 30.0
 """A track stands still if it has stayed within this distance of a place for this long."""
+_APPEARED_S = 15.0
 PRESSES_S = 30.0
 """A track presses if it has been inside its volume for this long. Time outside counts half against it."""
 
@@ -57,8 +58,9 @@ class Remembered:
     """Time in conflict and inside its volume."""
     pressed_s: float = 0.0
     follows: bool = False
-    appeared: bool = False
-    """It was inside its volume when it was first heard."""
+    appeared_s: float = -math.inf
+    """If it was inside its volume when it was first heard: when it was last there, unless it has been outside
+    for `_APPEARED_S`."""
     entered: bool = False
     """It has been inside its volume."""
     reserved: bool = False
@@ -76,10 +78,23 @@ class Remembered:
         """Whether it has been inside its volume for long, or follows the aircraft."""
         return self.pressed_s >= PRESSES_S or self.follows
 
-    @property
-    def yields(self) -> bool:
+    def appears(self, now_s: float) -> bool:
+        """Whether it has appeared inside its volume, and not been outside for long since."""
+        return now_s - self.appeared_s <= _APPEARED_S
+
+    def yields(self, now_s: float) -> bool:
         """Whether it is avoided only as far as all others allow."""
-        return self.presses or self.appeared
+        return self.presses or self.appears(now_s)
+
+    def renewed(self, now_s: float, latest: Neighbour, place: Vec3) -> Remembered:
+        """The same track after a silence: another aircraft may have its name. What the name has used is kept.
+
+        Args:
+            place: present position (NED, m).
+        """
+        fresh = Remembered(self.key, latest, now_s, now_s, place, now_s, self.used, self.inside)
+        fresh.reserved = self.reserved
+        return fresh
 
     def inherit(self, others: Iterable[Remembered]) -> None:
         """Take over the most that other tracks have used."""

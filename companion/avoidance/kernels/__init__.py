@@ -64,7 +64,7 @@ from companion.avoidance.kernels.powers import (
     note_power,
     suspicion,
 )
-from companion.avoidance.kernels.priority import SLACK_MPS, Asked, allowed, put_last, solve_in_order
+from companion.avoidance.kernels.priority import SLACK_MPS, Asked, put_last, solve_in_order
 from companion.avoidance.kernels.programs import Aim, half_space, solve
 from companion.avoidance.kernels.settings import (
     DMUCA,
@@ -165,7 +165,6 @@ __all__ = [
     "Workspace",
     "after_area",
     "all_within",
-    "allowed",
     "closest",
     "closing",
     "crewed_wish",

@@ -23,7 +23,6 @@ from companion.arrays import Floats
 from companion.avoidance.kernels.compiled import compiled
 from companion.avoidance.kernels.fence_planes import FENCE_MARGIN_M
 from companion.avoidance.kernels.neighbours import Other, other_at
-from companion.avoidance.kernels.priority import Asked, allowed
 from companion.avoidance.kernels.settings import STEPS, Own, Settings
 from companion.avoidance.kernels.timelines import Path, point_at
 from companion.avoidance.kernels.vectors import Point, Triple, Vector, clipped, length, minus
@@ -81,8 +80,6 @@ for `TURN_FADES_S`, it would move the predicted place from one side of our own a
 message."""
 TURNING_MPS = 2.0
 """An aircraft that is slower does not turn, because the direction of its velocity is noise."""
-BENT_MPS = 0.5
-"""The planes of small aircraft bend a velocity that they change by more than this."""
 _ANSWER_S = 0.5
 """Time until the vehicle answers a command."""
 
@@ -374,38 +371,29 @@ def _price(v: Vector, wanted: Vector, command: Vector) -> float:
 
 @compiled
 def _cheapest(
-    view: _View, wanted: Vector, fence: Floats, settings: Settings, command: Vector, asked: Asked,
-    least: float,
-) -> tuple[Vector, bool]:  # fmt: skip
-    """The cheapest velocity, and whether one is cheaper than `least`; otherwise it is `wanted`.
-
-    A velocity is judged by what the planes of small aircraft leave of it.
-    """
+    view: _View, wanted: Vector, fence: Floats, settings: Settings, command: Vector, least: float
+) -> tuple[Vector, bool]:
+    """The cheapest velocity, and whether one is cheaper than `least`; otherwise it is `wanted`."""
     wish, found, own = wanted, False, view.own
     for number in range(-2, 2 * HEADINGS):
         level = _heading(number, wanted, settings.speed_mps)
-        ahead = math.inf if number < 0 else _free(fence, own, level.n, level.e)
+        free = math.inf if number < 0 else _free(fence, own, level.n, level.e)
         for vertical, d in enumerate((wanted.d, settings.descent_mps, 0.0, -settings.climb_mps)):
-            tried = clipped(Vector(level.n, level.e, d), settings.speed_mps)
-            v, free = allowed(asked, settings.speed_mps, tried), ahead
-            bent = length(minus(v, tried)) > BENT_MPS
-            if bent:
-                free = _free(fence, own, v.n, v.e)
+            v = clipped(Vector(level.n, level.e, d), settings.speed_mps)
             price = _price(v, wanted, command)
             if price < least:
                 answer = _ANSWER_S + 0.5 * length(minus(v, own.velocity)) / settings.acceleration_mps2
-                follows, returns = number == -2 and not bent, vertical == 0 and not bent
-                way = _Way(v, answer, free, 1.0 if follows else 0.0, 1.0 if returns else 0.0)
+                way = _Way(v, answer, free, 1.0 if number == -2 else 0.0, 1.0 if vertical == 0 else 0.0)
                 price += _risks(way, view, least - price, False)
                 if price < least:
-                    least, wish, found = price, tried, True
+                    least, wish, found = price, v, True
     return wish, found
 
 
 @compiled
 def crewed_wish(
     neighbours: Floats, count: int, own: Own, wanted: Vector, path: Path, path_s: float, fence: Floats,
-    settings: Settings, command: Vector, ahead: Floats, asked: Asked,
+    settings: Settings, command: Vector, ahead: Floats,
 ) -> tuple[Vector, bool]:  # fmt: skip
     """The velocity to fly because of crewed traffic.
 
@@ -417,7 +405,6 @@ def crewed_wish(
         command: the last command, m/s.
         ahead: (at least count, STEPS, AHEAD_COLUMNS): predictions; written. The last entry of the first row
             of an aircraft is the risk of flying on.
-        asked: planes of limits, fence and small aircraft; reordered.
 
     Returns:
         The velocity, and whether there is a conflict: it is another than `wanted`, or flying on is risky.
@@ -433,10 +420,7 @@ def crewed_wish(
     if risk < LEAST_RISK:
         return wanted, False
     least = risk + CHANGE_PRICE * length(minus(wanted, command))
-    bent = length(minus(allowed(asked, settings.speed_mps, wanted), wanted)) > BENT_MPS
-    wish, found = _cheapest(view, wanted, fence, settings, command, asked, math.inf if bent else least)
-    if bent:
-        found = length(minus(wish, wanted)) > 0.0
+    wish, found = _cheapest(view, wanted, fence, settings, command, least)
     if not (found or risk >= CONFLICT_RISK):
         return wanted, False
     riskiest = 0

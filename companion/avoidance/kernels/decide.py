@@ -271,26 +271,19 @@ def decide(
     site = Site(fence, here, ahead, margin, settings.speed_mps, settings.acceleration_mps2)
     hard, first = _fence_first(site, before, change, least, most, work.planes)
     wish, gives_way = wanted, False
+    if law == DMUCA:
+        wish, gives_way = crewed_wish(
+            neighbours, count, own, wanted, path, own.path_time_s - delay_s, fence, settings, before,
+            work.ahead,
+        )  # fmt: skip
     after, conflict, on_right = neighbour_planes(
         neighbours, count, own, wish, settings, history, samples, work.planes, first, work.seen, work.asked
     )
     last = put_last(neighbours, count, work.planes, first, after, work.asked)
-    asked = Asked(work.planes, hard, first, last, after, work.scratch)
-    if law == DMUCA:
-        wish, gives_way = crewed_wish(
-            neighbours, count, own, wanted, path, own.path_time_s - delay_s, fence, settings, before,
-            work.ahead, asked,
-        )  # fmt: skip
-    if gives_way:  # the conflict is that of the new wish, and the planes were reordered
-        _fence_first(site, before, change, least, most, work.planes)
-        after, conflict, on_right = neighbour_planes(
-            neighbours, count, own, wish, settings, history, samples, work.planes, first, work.seen,
-            work.asked,
-        )  # fmt: skip
-        put_last(neighbours, count, work.planes, first, after, work.asked)
     if conflict and not on_right:
         wish = _turned(wish, settings.right_rad)
     conflict = conflict or gives_way
+    asked = Asked(work.planes, hard, last, after, work.scratch)
     feasible, solved = solve_in_order(asked, settings.speed_mps, wish)
     at_least, at_most, at_fence = _bounded(work, count, hard, solved)
     if gives_way:

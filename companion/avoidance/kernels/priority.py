@@ -25,8 +25,6 @@ class Asked(NamedTuple):
     planes: Floats
     hard: int
     """Number of the hard ones, which come first."""
-    first: int
-    """Row of the first neighbour's plane."""
     last: int
     """Row of the first one that is kept only as far as all before it allow."""
     rows: int
@@ -70,6 +68,9 @@ def put_last(neighbours: Floats, count: int, planes: Floats, first: int, last: i
 def solve_in_order(asked: Asked, speed: float, wish: Vector) -> tuple[bool, Vector]:
     """Find the velocity as `solve` does; the last planes count only where all others leave a choice.
 
+    Where not even the others can all be kept, they leave a choice as far as none of them is violated by more
+    than the most violated one is without the last.
+
     Args:
         asked: the planes; those after the hard ones are reordered, the last ones among themselves.
         speed: greatest speed, m/s.
@@ -78,18 +79,19 @@ def solve_in_order(asked: Asked, speed: float, wish: Vector) -> tuple[bool, Vect
     Returns:
         Whether every plane is satisfied, and the velocity.
     """
-    planes, last, scratch = asked.planes, asked.last, asked.scratch
-    feasible, v = solve(planes, asked.hard, last, speed, SLACK_MPS, wish, scratch)
-    if feasible and last < asked.rows:
-        return solve(planes, last, asked.rows, speed, SLACK_MPS, wish, scratch)
-    return feasible and last == asked.rows, v
-
-
-@compiled
-def allowed(asked: Asked, speed: float, wish: Vector) -> Vector:
-    """What the planes of other aircraft leave of a velocity. Arguments are those of `solve_in_order`."""
-    for row in range(asked.first, asked.rows):
-        plane = plane_at(asked.planes, row)
-        if dot(plane.normal, wish) < plane.least:
-            return solve_in_order(asked, speed, wish)[1]
-    return wish
+    planes, hard, last, scratch = asked.planes, asked.hard, asked.last, asked.scratch
+    feasible, v = solve(planes, hard, last, speed, SLACK_MPS, wish, scratch)
+    if last == asked.rows:
+        return feasible, v
+    more = 0.0
+    if not feasible:
+        for row in range(hard, last):
+            plane = plane_at(planes, row)
+            more = max(more, plane.least - dot(plane.normal, v))
+        for row in range(hard, last):
+            planes[row, 3] -= more
+    kept, v = solve(planes, last, asked.rows, speed, SLACK_MPS, wish, scratch)
+    if not feasible:
+        for row in range(hard, last):
+            planes[row, 3] += more
+    return feasible and kept, v

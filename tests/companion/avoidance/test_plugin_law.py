@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -51,6 +52,18 @@ def test_it_avoids():
     flown = fly(law("aside"), 60.0, velocity=(4.0, 0.0, 0.0), hears=lambda now, p, v: (HOVERING,))
     least = np.linalg.norm(flown.position - np.array(HOVERING.position_ned_m), axis=1).min()
     assert least > 10.0
+
+
+@pytest.mark.parametrize(("other_m", "kept"), [(None, ["A"]), (250.0, ["B"]), (350.0, ["A", "B"])])
+def test_those_that_yield_are_left_out_while_another_is_near(other_m, kept):
+    yielding = msgspec.structs.replace(HOVERING, yields=True)
+    others = [] if other_m is None else [
+        Neighbour("B", (0.0, other_m + 50.0, -50.0), (0.0, -50.0, 0.0), 1.0, 1.0)
+    ]  # fmt: skip
+    made = law("aside")
+    place = (0.0, 0.0, -50.0)
+    found = made.decide(Situation(0.0, 0.0, place, (4.0, 0.0, 0.0), 1.0, (yielding, *others)))
+    assert [view.track_id for view in found.tracks] == kept
 
 
 @pytest.mark.parametrize("name", ["east", "down", "follow", "aside"])

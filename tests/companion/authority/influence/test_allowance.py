@@ -80,7 +80,7 @@ def test_a_track_that_has_spent_its_allowance_is_left_out_and_others_are_not():
 
 
 def test_silence_and_another_flight_renew_nothing_but_time_does():
-    sky = Sky()
+    sky = Sky(msgspec.structs.replace(SHORT, total_s=1000.0))
     sky.run(41.0, other("A"))
     sky.run(100.0)
     assert sky.run(1.0, other("A")) == []
@@ -158,8 +158,33 @@ def test_who_is_first_heard_inside_its_volume_yields(away_m, yields):
     sky = Sky()
     assert sky.run(5.0, other("A", at=(away_m, 0.0, 0.0), velocity=ZERO)) == ["A"]
     assert sky.yielding == ({"A"} if yields else set())
-    sky.run(5.0, other("A", at=(200.0, 0.0, 0.0), velocity=ZERO))
+    sky.run(10.0, other("A", at=(200.0, 0.0, 0.0), velocity=ZERO))
+    sky.run(1.0, other("A", at=(7.0, 0.0, 0.0), velocity=ZERO))
     assert sky.yielding == ({"A"} if yields else set())
+    sky.run(16.0, other("A", at=(200.0, 0.0, 0.0), velocity=ZERO))
+    sky.run(1.0, other("A", at=(7.0, 0.0, 0.0), velocity=ZERO))
+    assert not sky.yielding
+
+
+def test_a_name_that_somebody_else_has_used_before_does_not_yield():
+    """A transmitter sends it from a place beside us for a while, before the true one is received."""
+    sky = Sky()
+    sky.run(15.0, other("A", at=(5.0, 0.0, 0.0)), radius_m=30.0)
+    assert sky.yielding == {"A"}
+    sky.run(1.8)
+    sky.run(0.2, other("A", at=(200.0, 0.0, 0.0)))
+    assert sky.yielding == {"A"}
+    used = sky.all._tracks[False, "A"].used.used_s
+    sky.run(2.2)
+    sky.run(0.2, other("A", at=(200.0, 0.0, 0.0)))
+    assert not sky.yielding
+    assert sky.all._tracks[False, "A"].used.used_s >= used
+    # A pause of the decisions is no silence of the track.
+    sky = Sky()
+    sky.run(5.0, other("A", at=(5.0, 0.0, 0.0)))
+    sky.now_s += 60.0
+    sky.run(0.2, other("A", at=(5.0, 0.0, 0.0)))
+    assert sky.all._tracks[False, "A"].first_s < 1.0
 
 
 def test_crewed_and_proven_traffic_never_yields():
@@ -317,10 +342,10 @@ def test_it_is_told_once_that_a_track_yields_to_another():
     sky.run(3.0, presses, other_one)
     sky.run(2.0, other_one)
     sky.run(3.0, presses, other_one)
-    assert told() == ["A avoided only as far as B allows"]
+    assert told() == ["A yields to B"]
     sky.run(16.0, other_one)
     sky.run(3.0, presses, other_one)
-    assert told() == ["A avoided only as far as B allows"] * 2
+    assert told() == ["A yields to B"] * 2
 
 
 def test_it_is_recorded_when_a_total_is_whole_again():

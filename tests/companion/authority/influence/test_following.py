@@ -147,6 +147,32 @@ def test_one_that_followed_does_not_follow_any_more_15_s_after_the_conflict():
         assert pair.followers.hear(pair.now_s + later_s, "A", *own, other) is follows
 
 
+def test_a_ghost_cannot_choose_its_heir():
+    """Having followed us, it moves to where an honest aircraft will be in conflict."""
+    pair, offset = Pair(), np.array((0.0, -24.0, 0.0))
+    assert pair.fly(16.0, "GHOST", ghost(offset)) is not None
+    honest = pair.own + np.array((0.0, 45.0, 0.0))
+    for step in range(30):
+        place = honest + step * PERIOD_S * np.array([7.0, 0.0, 0.0])
+        moved = pair.own + np.array((0.0, min(-24.0 + 8.0 * step, 45.0), 0.0))
+        others = {"GHOST": (moved, (7.0, 0.0, 0.0))}
+        if step > 10:
+            others["HONEST"] = (place, (7.0, 0.0, 0.0))
+        assert "HONEST" not in pair.step(**others)
+    assert "HEIR" in pair.step(HEIR=(pair.own + offset, pair.own_mps)) | pair.step(
+        HEIR=(pair.own + offset, pair.own_mps)
+    )
+
+
+def test_a_name_of_before_is_another_track_and_has_an_heir():
+    pair, offset = Pair(), np.array((0.0, -24.0, 0.0))
+    assert pair.fly(16.0, "A", ghost(offset)) is not None
+    pair.followers.forget("A")
+    pair.followers.forget("NOBODY")
+    assert "A" not in pair.followers
+    assert pair.fly(1.0, "B", ghost(offset)) is not None
+
+
 def test_what_is_remembered_is_bounded():
     pair = Pair()
     for number in range(300):

@@ -36,9 +36,8 @@ def wish_of(
     own = k.Own(k.Vector(*at), velocity, 1.5, 0.0, 0.0, FLOOR_D, CEILING_D)
     settings = settings_of(AvoidanceConfig(), LimitsConfig(max_speed_mps=10.0), path)
     wish, gives_way = k.crewed_wish(
-        table, len(others), own, velocity, k.Path(*path.arrays), 0.0, walls, settings, velocity, work.ahead,
-        k.Asked(work.planes, 0, 0, 0, 0, work.scratch),
-    )  # fmt: skip
+        table, len(others), own, velocity, k.Path(*path.arrays), 0.0, walls, settings, velocity, work.ahead
+    )
     return tuple(wish), bool(gives_way)
 
 
@@ -192,10 +191,7 @@ def test_a_conflict_has_a_name_even_if_nobody_alone_would_be_one() -> None:
     own = k.Own(k.Vector(0.0, 0.0, -80.0), k.Vector(0.0, 0.0, 0.0), 1.5, 0.0, 0.0, -50.0, CEILING_D)
     still, path = k.Vector(0.0, 0.0, 0.0), k.Path(*HOVER.arrays)
     for count, conflict in ((1, False), (2, True)):
-        nothing = k.Asked(work.planes, 0, 0, 0, 0, work.scratch)
-        found = k.crewed_wish(
-            table, count, own, still, path, 0.0, k.NO_WALLS, settings, still, work.ahead, nothing
-        )
+        found = k.crewed_wish(table, count, own, still, path, 0.0, k.NO_WALLS, settings, still, work.ahead)
         assert found[1] is conflict
         assert bool(work.ahead[:count, 0, 7].max() >= LEAST_RISK) is conflict
 
