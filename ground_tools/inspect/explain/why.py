@@ -305,7 +305,15 @@ class Explainer:
             _, near2 = k.closest(k.Vector(*away), k.Vector(*closing), look)
             if near2 < track.radius_m * track.radius_m:
                 enters.append(track.track_id)
-        short = [(space.cause, space.short_mps(velocity)) for space in spaces]
+        yielding = {track.track_id for track in decision.tracks if track.yields}
+        if len(yielding) == len(decision.tracks):
+            yielding = set()
+        # Beside others, an aircraft that yields excludes nothing.
+        short = [
+            (space.cause, space.short_mps(velocity))
+            for space in spaces
+            if not (space.track and space.cause in yielding)
+        ]
         worst: dict[str, float] = {}
         for cause, missing in short:
             if missing > KEPT_MPS:

@@ -74,6 +74,17 @@ def test_what_excludes_an_alternative_is_a_half_space_that_it_breaks():
     assert not found.excluded_by
 
 
+def test_beside_another_one_that_yields_excludes_nothing():
+    ghost = track("GHOST", position_ned_m=(100.0, 0.0, -50.0), yields=True)
+    far = track("FAR", position_ned_m=(0.0, 900.0, -50.0), velocity_ned_mps=(0.0, 0.0, 0.0))
+    alone, both = (
+        named(alternatives(decision(*some), CONFIG), "keep the") for some in ((ghost,), (ghost, far))
+    )
+    assert [cause for cause, _ in alone.excluded_by] == ["GHOST"]
+    assert not both.excluded_by
+    assert "GHOST" in both.enters
+
+
 def test_a_turn_is_the_smallest_that_is_allowed():
     look = alternatives(decision(track(position_ned_m=(100.0, -8.0, -50.0))), CONFIG)
     right, left = named(look, "turn right"), named(look, "turn left")
