@@ -66,17 +66,26 @@ def _waits(nodeid: str) -> bool:
     return nodeid.startswith("tests/integration/test_")
 
 
-LONGEST = ("integration/test_guard_and_fly", "ground_tools/test_cluster", "integration/test_getting_started")
-"""Files with tests that take a minute, whatever the machine. Begun late, they would end last."""
-COMPILED_FIRST = ("ground_tools/campaign", "ground_tools/city")
-"""Folders whose compiled functions may still be being compiled while the first tests run."""
+TOGETHER = "tests/ground_tools/atmc/"
+"""Folder whose files stay in one worker: the first optimizer in a process loads PyTorch's compiler."""
+LONGEST = (TOGETHER, "integration/test_guard_and_fly", "integration/test_getting_started")
+"""What takes a minute or more, whatever the machine. Begun late, it would end last."""
+COMPILED_FIRST = ("ground_tools/campaign", "ground_tools/city", "ground_tools/test_cluster")
+"""Whose compiled functions may still be being compiled while the first tests run."""
+
+
+def _unit(nodeid: str) -> str:
+    """Name of the tests that run one after another in one worker."""
+    if _waits(nodeid):
+        return nodeid
+    return TOGETHER if nodeid.startswith(TOGETHER) else nodeid.partition("::")[0]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """A test that waits, to every three files that compute; many small files come last."""
 
     def unit(item: pytest.Item) -> str:
-        return item.nodeid if _waits(item.nodeid) else item.nodeid.partition("::")[0]
+        return _unit(item.nodeid)
 
     def is_long(name: str) -> bool:
         return any(part in name for part in LONGEST)
@@ -113,7 +122,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
     class Spread(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return nodeid if _waits(nodeid) else str(super()._split_scope(nodeid))
+            return _unit(nodeid)
 
     return Spread(config, log)
 
