@@ -62,7 +62,7 @@ def _nothing_to_unfreeze() -> None:
 
 
 def _waits(nodeid: str) -> bool:
-    """Whether a test waits for real processes most of its time, and has none that share them with another."""
+    """Whether a test spends most of its time waiting for processes of its own."""
     return nodeid.startswith("tests/integration/test_")
 
 
