@@ -41,33 +41,101 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """What is collected stays, so that the garbage collector need not look through it, now or later."""
+    """What is collected stays, so that the garbage collector need not look through it, now or later.
+
+    It also looks less often than by default: simulated flights allocate much, and leave few cycles. A flight
+    of `companion.runtime` unfreezes everything at its end, and each one after it would look through the whole
+    suite again.
+    """
     gc.disable()
     try:
         return (yield)
     finally:
         gc.enable()
+        gc.set_threshold(50_000, 20, 100)
         gc.freeze()
+        gc.unfreeze = _nothing_to_unfreeze
+
+
+def _nothing_to_unfreeze() -> None:
+    """Takes the place of `gc.unfreeze`."""
+
+
+def _waits(nodeid: str) -> bool:
+    """Whether a test spends most of its time waiting for processes of its own."""
+    return nodeid.startswith("tests/integration/test_")
+
+
+TOGETHER = "tests/ground_tools/atmc/"
+"""Folder whose files stay in one worker: the first optimizer in a process loads PyTorch's compiler."""
+LONGEST = (TOGETHER, "integration/test_guard_and_fly", "integration/test_getting_started")
+"""What takes a minute or more, whatever the machine. Begun late, it would end last."""
+COMPILED_FIRST = ("ground_tools/campaign", "ground_tools/city", "ground_tools/test_cluster")
+"""Whose compiled functions may still be being compiled while the first tests run."""
+
+
+def _unit(nodeid: str) -> str:
+    """Name of the tests that run one after another in one worker."""
+    if _waits(nodeid):
+        return nodeid
+    return TOGETHER if nodeid.startswith(TOGETHER) else nodeid.partition("::")[0]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A file of real processes, which wait, to every three that compute; many small ones come last.
+    """A test that waits, to every three files that compute; many small files come last."""
 
-    Those of `sitl_mocks` come first: they fly no campaign, whose flight may still be being compiled.
-    """
-    files = dict.fromkeys(item.path for item in items)
-    waiting = [file for file in files if file.parent.name == "integration"]
-    computing = [file for file in reversed(files) if file not in waiting]
-    computing.sort(key=lambda file: "sitl_mocks" not in file.parts)
-    turn = {file: 3 * n - 0.5 for n, file in enumerate(waiting)}
-    turn |= {file: float(n) for n, file in enumerate(computing)}
-    items.sort(key=lambda item: turn[item.path])
+    def unit(item: pytest.Item) -> str:
+        return _unit(item.nodeid)
+
+    def is_long(name: str) -> bool:
+        return any(part in name for part in LONGEST)
+
+    def rank(name: str) -> int:
+        if "sitl_mocks" in name:
+            return 0
+        if any(part in name for part in COMPILED_FIRST):
+            return 2
+        return 3 if "tests/companion" in name else 1
+
+    units = list(dict.fromkeys(map(unit, items)))
+    waiting = [name for name in units if _waits(name) or is_long(name)]
+    waiting.sort(key=lambda name: not is_long(name))
+    computing = [name for name in reversed(units) if name not in set(waiting)]
+    computing.sort(key=rank)
+    turn = {name: 3 * n - 0.5 for n, name in enumerate(waiting)}
+    turn |= {name: float(n) for n, name in enumerate(computing)}
+    items.sort(key=lambda item: turn[unit(item)])
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Two more than cores, which are free while others wait."""
-    return len(os.sched_getaffinity(0)) + 2
+    """Three more than cores, which are free while others wait."""
+    return len(os.sched_getaffinity(0)) + 3
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """With `--dist loadfile`, tests that wait are spread one by one instead of file by file."""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Spread(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return _unit(nodeid)
+
+    return Spread(config, log)
+
+
+COMPILE = """
+from ground_tools.campaign import cells
+cells.fly(cells.Cell(generator="S2", aircraft=3), [1])
+from ground_tools.city import cells
+from ground_tools.city.traffic.demand import Demand
+demand = Demand(pattern="inspections", per_km2=12.0, north_m=1000.0, east_m=1000.0)
+cells.fly(cells.City(demand=demand, duration_s=2.0, settle_s=0.0), 2)
+"""
+"""A flight of the campaign, and one of a city: what they call is compiled, unless it is in the cache."""
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -75,15 +143,15 @@ def pytest_configure_node(node: Any) -> None:
     """Compile once what in a fresh clone all workers, and the processes that they start, would compile.
 
     While the first worker collects the tests, and so compiles them to bytecode, the kernels are compiled.
-    Then the others start, and the campaign's flight is compiled, which the first tests do not need.
+    Then the others start, and the functions of campaign and city are compiled, which the first tests do not
+    need.
     """
     if node.gateway.id != "gw1":
         return
     from companion.avoidance import kernels  # not in the workers: it takes half a second to load
 
     kernels.warm_up()
-    flight = "from ground_tools.campaign import cells as c; c.fly(c.Cell(generator='S2', aircraft=3), [1])"
-    compiling = subprocess.Popen([sys.executable, "-c", flight], cwd=Path(__file__).parents[1])
+    compiling = subprocess.Popen([sys.executable, "-c", COMPILE], cwd=Path(__file__).parents[1])
     node.config.add_cleanup(compiling.wait)
 
 

@@ -11,7 +11,7 @@ import io
 import math
 import pickle
 import struct
-from typing import Any, Final, Literal
+from typing import Any, Final, Generic, Literal, TypeVar
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -33,6 +33,7 @@ from sitl_mocks.vehicle.mock_vehicle import MockVehicle
 from sitl_mocks.vehicle.options import HOME, VehicleOptions
 
 Use = Literal["guard", "fly"]
+Held = TypeVar("Held")
 TICK_S: Final = 0.05
 UTC_AT_ZERO_S: Final = 1_767_225_600.0
 HEIGHT_M: Final = 40.0
@@ -240,23 +241,37 @@ class World:
         return Snapshot(self)
 
 
-class Snapshot:
+class Saved(Generic[Held]):
+    """An object as it was at one moment, such as a simulation that is continued several times.
+
+    Raises (on creation):
+        pickle.PicklingError, AttributeError: the object holds something that cannot be copied.
+    """
+
+    def __init__(self, held: Held) -> None:
+        self.shared: list[object] = []
+        file = io.BytesIO()
+        _Pickler(file, self.shared).dump(held)
+        self._data = file.getvalue()
+
+    def copy(self) -> Held:
+        """A copy that shares no mutable object with any other copy."""
+        held: Held = _Unpickler(io.BytesIO(self._data), self.shared).load()
+        return held
+
+
+class Snapshot(Saved[World]):
     """A saved world. Every continuation starts from the same moment."""
 
     def __init__(self, world: World) -> None:
+        super().__init__(world)
         self.now_s = world.now_s
         self.firmware, self.use = world.firmware, world.use
         self.mode = world.vehicle.mode
-        self.shared: list[object] = []
-        file = io.BytesIO()
-        _Pickler(file, self.shared).dump(world)
-        self._data = file.getvalue()
 
     def world(self) -> World:
         """A copy that shares no mutable object with any other copy."""
-        world = _Unpickler(io.BytesIO(self._data), self.shared).load()
-        assert isinstance(world, World)
-        return world
+        return self.copy()
 
 
 class _Pickler(pickle.Pickler):

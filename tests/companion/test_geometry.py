@@ -34,6 +34,14 @@ def test_against_the_library(d_lat, d_lon, alt):
     assert HOME.to_ned(*point) == pytest.approx(tuple(map(float, expected)), abs=1e-6)
 
 
+@given(north=near, east=near, down=st.floats(-5000.0, 5000.0))
+def test_the_place_of_the_tests_is_this_frame(north, east, down):
+    frame = LocalFrame(HOME.lat_deg, HOME.lon_deg, HOME.alt_m)
+    (lat, lon, alt), expected = HOME.to_geodetic(north, east, down), frame.to_geodetic(north, east, down)
+    assert (lat, lon) == pytest.approx(expected[:2], abs=1e-10)
+    assert alt == pytest.approx(expected[2], abs=1e-5)
+
+
 def test_signs():
     frame = LocalFrame(47.0, 8.0, 400.0)
     north, east, down = frame.to_ned(47.001, 8.001, 450.0)

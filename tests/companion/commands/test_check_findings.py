@@ -94,7 +94,10 @@ def test_clocks(vehicle: Vehicle, listed: Callable[..., Any]) -> None:
     vehicle.clock_off_s = 3600.0
     ((light, text, _),) = listed(0)["clock"]
     assert light == "yellow"
-    assert "+3600." in text
+    # What the vehicle says may be late, or be heard late, on a busy machine.
+    said = re.fullmatch(r"UTC known; this computer's clock differs from the vehicle's by (\+\d+\.\d) s", text)
+    assert said is not None
+    assert float(said[1]) == pytest.approx(3600.0, abs=10.0)
     vehicle.clock_off_s = math.inf
     assert listed(1)["clock"][0][:2] == ("red", "the vehicle does not know UTC")
 

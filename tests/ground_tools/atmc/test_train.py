@@ -106,7 +106,10 @@ def test_rows_after_the_checkpoint_are_made_anew(config, tmp_path):
     assert [row["episode"] for row in rows(folder)] == ["1", "2", "3", "4"]
 
 
-def test_seeds_side_by_side(config, tmp_path):
+def test_seeds_side_by_side(config, tmp_path, monkeypatch):
+    """In copies of this process, which have loaded PyTorch; those below are started anew."""
+    forked = multiprocessing.get_context("fork")
+    monkeypatch.setattr(multiprocessing, "get_context", lambda _method: forked)
     code, folders = train(config, tmp_path / "many", "--seeds", "1-2", "--episodes", "2")
     assert code == 0
     _, (alone,) = train(config, tmp_path / "alone", "--seed", "2", "--episodes", "2")

@@ -54,6 +54,15 @@ def test_losses_of_independent_senders_come_out():
     assert stronger.packets < row.packets
 
 
+@pytest.mark.parametrize("variant", VARIANTS["collision"])
+def test_every_variant_loses_about_as_many_packets_as_the_equations_say(variant):
+    """A few simulations; with many the command takes minutes."""
+    effort = Effort(seconds=10.0, environments=1, seed=1)
+    row = row_of(PAPER, effort, Case("collision", variant, "ble4", 9, 5, 100.0))
+    assert row.packets == pytest.approx(row.equations, abs=0.01)
+    assert row.packets > 0.01
+
+
 def test_both_models_see_the_same_positions():
     rows = [
         row_of(PAPER, EFFORT, Case("fleet", variant, "ble4", 9, 10, 3000.0)) for variant in VARIANTS["fleet"]
@@ -72,6 +81,9 @@ def test_the_command_prints_rows_and_draws(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(compare, "SIDES_M", (3000.0,))
     monkeypatch.setattr(compare, "FLEETS", (5,))
     monkeypatch.setattr(compare, "RECEIVERS", 3)
+    # Colliding packets take most of the time. Other variants are simulated above.
+    collisions = {name: VARIANTS["collision"][name] for name in ("as the equations", "real radios")}
+    monkeypatch.setitem(VARIANTS, "collision", collisions)
     out = str(tmp_path / "new")
     assert (
         main(["channel", "compare", "--seconds", "10", "--environments", "10", "--out", out, "--json"]) == 0

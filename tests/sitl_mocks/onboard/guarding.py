@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -12,6 +13,7 @@ from companion.events import AuthorityChanged, Firmware, MissionItem, RadioState
 from companion.radio.frames_io import FrameReceiver, FrameSender, radio_address
 from companion.radio.null.section import NullRadio
 from companion.system import CompanionSystem
+from sitl_mocks.examinations.world import Saved
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle
 from sitl_mocks.vehicle.options import VehicleOptions
@@ -200,3 +202,31 @@ def head_on(firmware, *, cooperating=False, **over):
         Guarded("ONE", firmware, north, **over),
         Guarded("TWO", Firmware.PX4, south, guarded=cooperating, number=2),
     )
+
+
+def taken(sky):
+    """Run until the companion flies the first aircraft."""
+    one = sky.aircraft[0]
+    return sky.until(lambda: one.core.in_control).run(1.0)
+
+
+@functools.cache
+def _saved(firmware, moment):
+    """`head_on` at a moment, flown once for all tests that begin there."""
+    if moment == "taken":
+        return Saved(taken(head_on(firmware)))
+    earlier = {"held": "taken", "avoiding": "taken", "recovering": "taken", "guarding": "recovering"}
+    sky = head_on_at(firmware, earlier[moment])
+    if moment == "held":
+        return Saved(sky.run(1.0))
+    one = sky.aircraft[0]
+    return Saved(sky.until(lambda: one.state.value == moment))
+
+
+def head_on_at(firmware, moment):
+    """The flight of `head_on`, from a moment on.
+
+    Moments: "taken", a second after the companion has control; "held", another second later; and the
+    beginnings of the states "avoiding", "recovering" and "guarding", all while it has control.
+    """
+    return _saved(firmware, moment).copy()

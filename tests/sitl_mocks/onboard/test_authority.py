@@ -14,17 +14,15 @@ from companion.authority.table import HOLDING, State
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
-from tests.sitl_mocks.onboard.guarding import TICK_S, Guarded, head_on
+from tests.sitl_mocks.onboard.guarding import TICK_S, Guarded, head_on, head_on_at, taken
 
 ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 BOTH = pytest.mark.parametrize("firmware", Firmware)
 
 
 def held(firmware, **options):
-    """Run until the companion flies the first aircraft."""
-    sky = head_on(firmware, **options)
-    one = sky.aircraft[0]
-    return sky.until(lambda: one.core.in_control).run(2.0)
+    """The companion flies the first aircraft for two seconds."""
+    return taken(head_on(firmware, **options)).run(1.0) if options else head_on_at(firmware, "held")
 
 
 def sent(aircraft, since):

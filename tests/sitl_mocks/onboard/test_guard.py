@@ -10,13 +10,7 @@ from companion.authority.table import State
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode, SetSpeed
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
-from tests.sitl_mocks.onboard.guarding import Guarded, Sky, head_on, item, mission
-
-
-def taken(sky):
-    """Run until the companion flies the first aircraft."""
-    one = sky.aircraft[0]
-    return sky.until(lambda: one.core.in_control).run(1.0)
+from tests.sitl_mocks.onboard.guarding import Guarded, Sky, head_on, head_on_at, item, mission, taken
 
 
 def setpoints_sent(aircraft, since):
@@ -28,7 +22,7 @@ def setpoints_sent(aircraft, since):
 @pytest.mark.parametrize("cooperating", [False, True])
 @pytest.mark.parametrize("firmware", Firmware)
 def test_head_on_is_avoided_and_the_same_item_is_flown_on(firmware, cooperating):
-    sky = taken(head_on(firmware, cooperating=cooperating))
+    sky = taken(head_on(firmware, cooperating=True)) if cooperating else head_on_at(firmware, "taken")
     one = sky.aircraft[0]
     seq = one.seq
     assert one.states() == ["watching", "avoiding"]
@@ -163,7 +157,7 @@ def test_the_item_is_waited_at_and_not_flown_past(firmware):
 
 @pytest.mark.parametrize("firmware", Firmware)
 def test_a_mission_changed_meanwhile_is_not_resumed(firmware):
-    sky = taken(head_on(firmware))
+    sky = head_on_at(firmware, "taken")
     one = sky.aircraft[0]
     new = mission((0.0, 0.0, 50.0), (0.0, 300.0, 50.0), first=1 if firmware is Firmware.ARDUPILOT else 0)
     one.upload(new, sky.now_s)
@@ -191,15 +185,29 @@ def test_a_mission_replaced_while_it_is_watched_is_given_back(firmware):
     assert one.states() == ["watching", "avoiding", "recovering", "guarding", "watching"]
 
 
+def test_a_flight_that_is_continued_from_a_moment_is_the_flight_itself():
+    """Nothing is lost or shared by the copies that other tests begin with."""
+    flown = taken(head_on(Firmware.PX4))
+    copies = [head_on_at(Firmware.PX4, "taken") for _ in range(2)]
+    copies[0].run(3.0)
+    for sky in (flown, copies[1]):
+        sky.run(3.0)
+    for sky in copies:
+        for one, other in zip(flown.aircraft, sky.aircraft, strict=True):
+            assert one.places == other.places
+            assert one.to_vehicle == other.to_vehicle
+            assert one.steps == other.steps
+
+
 # ------------------------------------------------------------ the pilot, and faults
 
 
 @pytest.mark.parametrize("moment", ["avoiding", "recovering", "guarding"])
 @pytest.mark.parametrize("firmware", Firmware)
 def test_the_pilot_wins_in_every_phase(firmware, moment):
-    sky = taken(head_on(firmware))
+    sky = head_on_at(firmware, moment)
     one = sky.aircraft[0]
-    sky.until(lambda: one.state.value == moment)
+    assert one.state.value == moment
     one.vehicle.pilot_selects(VehicleMode.HOLD)
     seen = len(one.steps)
     sky.until(lambda: one.core.own.mode is not FlightMode.EXTERNAL, 3.0)
@@ -214,7 +222,7 @@ def test_the_pilot_wins_in_every_phase(firmware, moment):
 
 @pytest.mark.parametrize("firmware", Firmware)
 def test_a_pilot_who_takes_the_mission_back_himself_is_left_alone(firmware):
-    sky = taken(head_on(firmware))
+    sky = head_on_at(firmware, "taken")
     one = sky.aircraft[0]
     one.vehicle.pilot_selects(VehicleMode.MISSION)
     sky.run(30.0)

@@ -159,7 +159,7 @@ def all_until_the_end(peer):
 
 @linux
 @pytest.mark.parametrize("late", ["look", "discard"])
-def test_tcp_is_aborted_with_what_does_not_arrive_and_that_never_leaves(tcp, trouble, clock, late):
+def test_tcp_is_aborted_with_what_does_not_arrive_and_that_never_leaves(tcp, trouble, clock, late, until):
     link, peer = tcp
     frames_sent(link, 500, lambda: peer.send(b"."))
     given = 100 * (500 - trouble.dropped)
@@ -171,7 +171,10 @@ def test_tcp_is_aborted_with_what_does_not_arrive_and_that_never_leaves(tcp, tro
     with pytest.raises(ConnectionAbortedError):
         link.receive(0.0) if late == "look" else link.discard()
     assert trouble.discarded == (late == "look")
-    here = link._here()
+    # On a busy machine its kernel may take the last segment as late as now: what is left stays here.
+    heres = [link._here()]
+    until(lambda: heres.append(link._here()) or (len(heres) > 10 and len(set(heres[-10:])) == 1))
+    here = heres[-1]
     link.abort()
     taken, end = all_until_the_end(peer)
     assert 0 < here < given
