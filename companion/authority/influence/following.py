@@ -30,6 +30,10 @@ _MOST = 32
 """Most conflicts that are examined at a time."""
 _FRESH_S = 2.0
 """Greatest age of a message that shows where a track is beside us."""
+_HEIR_WITHIN_S = 5.0
+"""A track may become another one's heir for so long after its first conflict has begun."""
+_PAUSE_S = 3.5
+"""Longest time between the last message of a track and the first conflict of its heir."""
 _BEGINS_S = 5.0
 """After so long without a conflict, another begins; after `_HEIR_S`, if it followed."""
 
@@ -54,6 +58,14 @@ class _Conflict:
     """Time of the last conflict."""
     since_s: float
     """Time since which it has followed."""
+    named_s: float
+    """When the first conflict under this name began; -infinity: it has become another one's heir."""
+    seen_s: float
+    """When the track was last there."""
+    heard_s: float
+    """Time of its last message."""
+    silent: bool = False
+    """It was not received for so long that it may have stopped."""
     follows: bool = False
 
     def look(self, now_s: float, own: Vec3, place: Vec3, mps: Vec3) -> None:
@@ -103,6 +115,7 @@ class Followers:
         found = self._conflicts.get(key)
         if found is None:
             return False
+        found.seen_s, found.heard_s, found.silent = now_s, now_s - other.age_s, other.silent
         if other.age_s <= _FRESH_S and not found.follows:
             found.beside = _beside(own, own_mps, other)
         return found.follows and not found.over(now_s)
@@ -116,9 +129,12 @@ class Followers:
             if len(self._conflicts) >= _MOST:
                 return
             beside = _beside(own, own_mps, other)
-            fresh = _Conflict(now_s, own, own_mps, place, mps, beside, place, beside, now_s, now_s)
-            self._conflicts.pop(key, None)
-            found = self._conflicts[key] = self._earlier(now_s, beside, mps) or fresh
+            found = _Conflict(
+                now_s, own, own_mps, place, mps, beside, place, beside, now_s, now_s, now_s, now_s, now_s,
+            )  # fmt: skip
+            self._conflicts[key] = found
+        if not found.follows and now_s - found.named_s <= _HEIR_WITHIN_S:
+            found = self._conflicts[key] = self._earlier(now_s, found, mps) or found
         found.look(now_s, own, place, mps)
 
     def forget(self, key: Hashable) -> None:
@@ -126,14 +142,17 @@ class Followers:
         if key in self._conflicts:
             self._conflicts[object()] = self._conflicts.pop(key)
 
-    def _earlier(self, now_s: float, beside: Vec3, mps: Vec3) -> _Conflict | None:
-        """The conflict that goes on under another name: a track had this place beside us."""
-        near = (c for c in self._conflicts.values() if math.dist(beside, c.beside) <= PUSHED_M)
-        found = next(near, None)
-        if found is not None:
-            found = replace(found)
-            found.go_on(now_s, mps)
-        return found
+    def _earlier(self, now_s: float, heir: _Conflict, mps: Vec3) -> _Conflict | None:
+        """The conflict that goes on under another name: a track that is not received any more had this place
+        beside us shortly before. One that is received still, and an aircraft at its place, are two."""
+        for found in self._conflicts.values():
+            gone = found.silent or now_s - found.seen_s > _LASTS_S
+            near = math.dist(heir.beside, found.beside) <= PUSHED_M
+            if gone and near and 0.0 <= heir.named_s - found.heard_s <= _PAUSE_S:
+                found = replace(found, named_s=-math.inf, seen_s=now_s, heard_s=now_s, silent=False)
+                found.go_on(now_s, mps)
+                return found
+        return None
 
     def _forget(self, now_s: float) -> None:
         old = [key for key, c in self._conflicts.items() if now_s - c.at_s > _HEIR_S]

@@ -123,7 +123,7 @@ def test_another_name_at_the_same_place_goes_on_where_it_was():
     offset = np.array((0.0, -30.0, 0.0))
     pair = Pair()
     assert pair.fly(16.0, "A", ghost(offset, 3.0)) is not None
-    assert pair.fly(1.0, "B", ghost(offset, 3.0)) <= 16.5
+    assert pair.fly(3.0, "B", ghost(offset, 3.0)) <= 17.6
     assert pair.fly(2.0, "C", ghost(-offset, 3.0)) is None
 
 
@@ -159,9 +159,7 @@ def test_a_ghost_cannot_choose_its_heir():
         if step > 10:
             others["HONEST"] = (place, (7.0, 0.0, 0.0))
         assert "HONEST" not in pair.step(**others)
-    assert "HEIR" in pair.step(HEIR=(pair.own + offset, pair.own_mps)) | pair.step(
-        HEIR=(pair.own + offset, pair.own_mps)
-    )
+    assert pair.fly(3.0, "HEIR", ghost(offset)) is not None
 
 
 def test_a_name_of_before_is_another_track_and_has_an_heir():
@@ -170,7 +168,29 @@ def test_a_name_of_before_is_another_track_and_has_an_heir():
     pair.followers.forget("A")
     pair.followers.forget("NOBODY")
     assert "A" not in pair.followers
-    assert pair.fly(1.0, "B", ghost(offset)) is not None
+    assert pair.fly(3.0, "B", ghost(offset)) is not None
+
+
+@pytest.mark.parametrize(("silent_s", "heir"), [(2.6, True), (4.0, False)])
+def test_whoever_comes_to_that_place_later_is_no_heir(silent_s, heir):
+    pair, offset = Pair(), np.array((0.0, -24.0, 0.0))
+    assert pair.fly(16.0, "GHOST", ghost(offset)) is not None
+    last_s = pair.now_s
+    while pair.now_s < last_s + silent_s:
+        pair.step()
+    assert (pair.fly(2.0, "LATER", ghost(offset)) is not None) is heir
+
+
+def test_an_honest_aircraft_at_the_place_of_a_ghost_is_no_heir_of_it():
+    """We are pushed to where it flies; the ghost goes on."""
+    pair, offset = Pair(), np.array((0.0, -24.0, 0.0))
+    assert pair.fly(16.0, "GHOST", ghost(offset)) is not None
+    honest = pair.own + offset
+    for step in range(60):
+        place = honest + step * PERIOD_S * np.array([7.0, 0.0, 0.0])
+        found = pair.step(GHOST=ghost(offset)(pair), HONEST=(place, (7.0, 0.0, 0.0)))
+        assert "HONEST" not in found
+        assert "GHOST" in found
 
 
 def test_what_is_remembered_is_bounded():
