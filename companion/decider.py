@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+import msgspec
 
 from companion.authority.course import Course
 from companion.authority.influence.allowance import Allowances
@@ -12,9 +14,10 @@ from companion.authority.table import HOLDING, State
 from companion.avoidance.alerts import Alerts
 from companion.avoidance.law import LawResult, Neighbour, Situation
 from companion.config import Config
-from companion.events import Command, Decision, Say, Severity
+from companion.events import AlertChanged, Command, Decision, Say, Severity
 from companion.ownship import Ownship
 from companion.traffic.adsb import AdsbTraffic
+from companion.traffic.sensed import SensedTraffic
 from companion.traffic.tracks import Traffic
 
 _LATE_STEP_S = 30.0
@@ -31,7 +34,13 @@ class Decider:
     """
 
     def __init__(
-        self, config: Config, own: Ownship, course: Course, traffic: Traffic, adsb: AdsbTraffic
+        self,
+        config: Config,
+        own: Ownship,
+        course: Course,
+        traffic: Traffic,
+        adsb: AdsbTraffic,
+        sensed: SensedTraffic | None = None,
     ) -> None:
         self.alerts = Alerts(config.avoidance)
         self.allowances = Allowances(config)
@@ -41,6 +50,7 @@ class Decider:
         self._course = course
         self._traffic = traffic
         self._adsb = adsb
+        self._sensed = sensed
         self._neighbours: list[Neighbour] = []
         """All neighbours. The law is given those that their allowances admit."""
         self._heights_m: tuple[float, float] | None = None
@@ -107,8 +117,9 @@ class Decider:
         self._containment.let_go()
 
     def _heard(self, now_s: float) -> list[Neighbour]:
-        down_m = self._own.position_ned_m(now_s)[2]
-        return self._traffic.neighbours(now_s) + self._adsb.neighbours(now_s, down_m)
+        here = self._own.position_ned_m(now_s)
+        heard = self._traffic.neighbours(now_s) + self._adsb.neighbours(now_s, here[2])
+        return heard if self._sensed is None else self._sensed.joined(now_s, here, self._own.sigma_m, heard)
 
     def _situation(self, now_s: float, neighbours: Sequence[Neighbour]) -> Situation:
         own, limits, course = self._own, self._config.limits, self._course
@@ -128,7 +139,8 @@ class Decider:
 
     def _alert(self, now_s: float, result: LawResult | None) -> list[Command]:
         position, velocity = self._own.position_ned_m(now_s), self._own.velocity_ned_mps
-        return self.alerts.look(now_s, position, velocity, self._neighbours, result)
+        told = self.alerts.look(now_s, position, velocity, self._neighbours, result)
+        return told if self._sensed is None else [_named(command, self._sensed.fused) for command in told]
 
     def _tell_late(self, result: LawResult) -> list[Command]:
         """Report a growing delay of the path.
@@ -164,3 +176,15 @@ class Decider:
                 tracks=result.tracks,
             )
         ]
+
+
+def _named(command: Command, fused: Mapping[tuple[bool, str], str]) -> Command:
+    """An alert's end that says that its track is sensed from now on, if that is why it ended."""
+    if not isinstance(command, AlertChanged) or command.level:
+        return command
+    seen_as = fused.get((False, command.track_id)) or fused.get((True, command.track_id))
+    if seen_as is None:
+        return command
+    return msgspec.structs.replace(
+        command, reason=f"clear {command.track_id}: avoided as {seen_as}, which it is"
+    )
