@@ -117,9 +117,9 @@ class Decider:
         self._containment.let_go()
 
     def _heard(self, now_s: float) -> list[Neighbour]:
-        here = self._own.position_ned_m(now_s)
-        heard = self._traffic.neighbours(now_s) + self._adsb.neighbours(now_s, here[2])
-        return heard if self._sensed is None else self._sensed.joined(now_s, here, self._own.sigma_m, heard)
+        down_m = self._own.position_ned_m(now_s)[2]
+        heard = self._traffic.neighbours(now_s) + self._adsb.neighbours(now_s, down_m)
+        return heard if self._sensed is None else self._sensed.joined(now_s, self._own, heard)
 
     def _situation(self, now_s: float, neighbours: Sequence[Neighbour]) -> Situation:
         own, limits, course = self._own, self._config.limits, self._course

@@ -9,11 +9,13 @@ from companion.events.base import Event
 from companion.events.traffic import AdsbVehicle
 from companion.geometry import Vec3
 
-SENSED_SPACE = "\N{EN SPACE}"
+SENSED_HYPHEN = "\N{NON-BREAKING HYPHEN}"
 """Stands in the names of sensed tracks. No id of a transmitted track contains it: Remote ID's are Latin-1,
 and ADS-B's are digits. So nobody's name on the air is taken for a measurement."""
-SENSED = f"sensed{SENSED_SPACE}"
+SENSED = f"sensed{SENSED_HYPHEN}"
 """What the names of sensed tracks begin with."""
+SENSED_WALL = f"{SENSED}wall "
+"""What the names of places of sensed surfaces begin with."""
 UNKNOWN, NOTHING = -1, 0
 """Values of `ObstacleScan.distances_cm`: not measured, and measured but nothing is there."""
 
@@ -21,6 +23,11 @@ UNKNOWN, NOTHING = -1, 0
 def is_sensed(track_id: str) -> bool:
     """Whether a track is one that a sensor aboard has seen, by its name."""
     return track_id.startswith(SENSED)
+
+
+def thing_of(track_id: str) -> str:
+    """Name of what a track is of: places of sensed surfaces are all of one thing, others are their own."""
+    return SENSED_WALL.rstrip() if track_id.startswith(SENSED_WALL) else track_id
 
 
 class Attitude(Event, frozen=True):

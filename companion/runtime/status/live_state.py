@@ -71,7 +71,7 @@ def _tracks(core: Companion, now_s: float, decision: Decision | None) -> list[Tr
     if core.sensed is not None:
         fused = core.sensed.fused
         others = [other for other in others if (other.adsb, other.track_id) not in fused]
-        others += core.sensed.look(now_s, own, core.own.sigma_m)
+        others += core.sensed.look(now_s, core.own)
     return [_track(other, own, levels, conflicts, names) for other in others]
 
 

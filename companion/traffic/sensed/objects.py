@@ -7,6 +7,10 @@ that follow one another are counted as if they came `CORRELATED_S` apart.
 
 A track counts as standing until its velocity is beyond three deviations and faster than `STANDING_MPS`. So a
 pole stands from the first measurement on, and an aircraft moves as soon as that is known.
+
+That something comes nearer is known within a few measurements, where it will pass only after seconds. Until
+then an object that moves is taken to be on collision course: its bearing stays as it is, which means that it
+moves across the line of sight as fast as we do (`Followed.seen_from`).
 """
 
 from __future__ import annotations
@@ -25,11 +29,11 @@ MOST: Final = 24
 """Most objects that are followed."""
 CONFIRMED: Final = 2
 """Measurements after which a thing is avoided: a single one may be a bird, rain or noise."""
-EXPIRE_S, STANDING_EXPIRE_S, UNCONFIRMED_S = 1.0, 3.0, 0.6
+EXPIRE_S, STANDING_EXPIRE_S, UNCONFIRMED_S = 2.0, 3.0, 0.6
 """How long an object is kept after its last measurement if it moves, if it stands, and if it was measured
 once."""
-FIRST_SIGMA_MPS: Final = 6.0
-"""Deviation of an unknown velocity on each axis."""
+FIRST_SIGMA_MPS, FIRST_ACROSS_MPS = 6.0, 3.0
+"""Deviation of an unknown velocity along the line of sight and in height, and across it."""
 CORRELATED_S: Final = 0.7
 MANOEUVRE_MPS2: Final = 1.5
 """What the velocity may change by in a second, one standard deviation."""
@@ -72,9 +76,6 @@ class _Axis(NamedTuple):
         s = self.pp + noise2
         kp, kv = self.pp / s, self.pv / s
         return _Axis((1.0 - kp) * self.pp, (1.0 - kp) * self.pv, self.vv - kv * self.pv), kp, kv
-
-
-_NEW = _Axis(0.0, 0.0, FIRST_SIGMA_MPS * FIRST_SIGMA_MPS)
 
 
 @dataclass(slots=True)
@@ -121,6 +122,23 @@ class Followed:
     def sigma_mps(self) -> float:
         """Error of its velocity, one standard deviation on the worse axis."""
         return math.sqrt(max(self.along.vv, self.across.vv))
+
+    def seen_from(self, here: Vec3, own_velocity: Vec3) -> Vec3:
+        """Its velocity as it is to be assumed: none if it stands, and on collision course as far as its
+        motion across the line of sight is not known.
+
+        Args:
+            here, own_velocity: our own position and velocity (NED, m and m/s).
+        """
+        if not self.moves:
+            return 0.0, 0.0, 0.0
+        vn, ve, vd = self.velocity
+        if not self.tracked:
+            un, ue = _sight(here, self.position)
+            unknown = min(1.0, self.across.vv / FIRST_ACROSS_MPS**2)
+            across = unknown * (un * own_velocity[1] - ue * own_velocity[0])
+            vn, ve = vn - across * ue, ve + across * un
+        return vn, ve, 0.0 if self.flat else vd
 
     def at(self, at_s: float) -> Vec3:
         """Its place at a time, if it keeps its velocity; it stands unless it is known to move."""
@@ -169,8 +187,9 @@ class Objects:
                 fed.add(one.name)
                 self._update(one, places[number], pose)
         if view is not None:
-            for one in [one for one in free if one.name not in fed and one.key is None]:
-                one.passed = one.passed + 1 if view.passes(one.at(pose.at_s)) else 0
+            # What moves is soon forgotten anyway, and where it is now is only predicted.
+            for one in [one for one in free if one.name not in fed and one.key is None and not one.moves]:
+                one.passed = one.passed + 1 if view.passes(one.position, flat=one.flat) else 0
             self.held = [one for one in self.held if one.passed < _PASSED]
         for number, place in enumerate(places):
             if number not in used:
@@ -266,9 +285,10 @@ class Objects:
         self._last += 1
         noise = self._noise(place, pose, 1.0)
         tracked = place.velocity is not None
-        axes = [_NEW._replace(pp=variance) for variance in noise]
+        sigmas = (FIRST_SIGMA_MPS, FIRST_ACROSS_MPS, FIRST_SIGMA_MPS)
         if tracked:
-            axes = [axis._replace(vv=TRACKED_SIGMA_MPS**2) for axis in axes]
+            sigmas = (TRACKED_SIGMA_MPS,) * 3
+        axes = [_Axis(pp, 0.0, sigma * sigma) for pp, sigma in zip(noise, sigmas, strict=True)]
         one = Followed(
             name=str(self._last),
             key=None if place.number is None else (component, place.number),

@@ -80,11 +80,10 @@ def sight_of_scan(scan: ObstacleScan, pose: Pose, config: SensedConfig) -> Sight
     sight = Sight([], [])
     whole = len(sectors) * abs(scan.step_deg) > 360.0 - 0.5 * abs(scan.step_deg)
     runs = _runs(sectors, whole=whole, half_rad=half_rad)
-    wide = [_is_wide(run, half_rad) for run in runs]
-    edges = {sector.number: sector.distance for run, is_wide in zip(runs, wide, strict=True) if is_wide
-             for sector in (run[0], run[-1])}  # fmt: skip
-    for run, is_wide in zip(runs, wide, strict=True):
-        if is_wide or _continues(run, edges, len(sectors) if whole else None):
+    distances = {sector.number: sector.distance for sector in sectors if sector is not None}
+    around = len(sectors) if whole else None
+    for run in runs:
+        if _is_wide(run, half_rad) or _beside_nearer(run, distances, around):
             sight.surfaces.extend(sector.seen for sector in run)
         else:
             sight.objects.append(_object(run))
@@ -142,16 +141,17 @@ def _is_wide(run: Sequence[_Sector], half_rad: float) -> bool:
     return least_m > OBJECT_M or max(distances) - min(distances) > OBJECT_M
 
 
-def _continues(run: Sequence[_Sector], edges: Mapping[int, float], around: int | None) -> bool:
-    """Whether sectors lie at the end of a surface, and not in front of it: they see more of it, at a slant.
+def _beside_nearer(run: Sequence[_Sector], distances: Mapping[int, float], around: int | None) -> bool:
+    """Whether the sector beside sees something nearer. Then this may be more of that, at a slant, or partly
+    hidden by it: as the aircraft flies on, it would seem to move along the line of sight.
 
     Args:
-        edges: distances of the outer sectors of surfaces, by their numbers.
+        distances: what each sector sees, by its number.
         around: number of sectors of a full circle; None: it is none.
     """
     for sector, beside in ((run[0], run[0].number - 1), (run[-1], run[-1].number + 1)):
-        edge = edges.get(beside if around is None else beside % around)
-        if edge is not None and sector.distance > edge - 1.0:
+        distance = distances.get(beside if around is None else beside % around)
+        if distance is not None and distance < sector.distance:
             return True
     return False
 
@@ -239,10 +239,13 @@ class View:
         self._error_rad = 2.0 * bearing_sigma_rad(pose, config)
         self._most_m = min(0.01 * scan.max_cm, config.max_range_m)
 
-    def passes(self, position: Vec3) -> bool:
-        """Whether the scan sees past a place (local NED, m)."""
+    def passes(self, position: Vec3, *, flat: bool) -> bool:
+        """Whether the scan sees past a place (local NED, m). `flat`: its height is not known, and is taken
+        for ours: a sensor whose plane leans there says nothing of it."""
         scan, pose = self._scan, self._pose
         away = tuple(q - p for p, q in zip(pose.position, position, strict=True))
+        if flat:
+            away = away[0], away[1], 0.0
         distance = math.hypot(*away)
         if not 1.0 < distance < 0.95 * self._most_m:
             return False
@@ -269,16 +272,3 @@ class View:
             return False
         cm = scan.distances_cm[number]
         return cm == NOTHING or (cm != UNKNOWN and 0.01 * cm > distance_m + _PASSES_M)
-
-
-def spread(places: Iterable[Seen], here: Vec3, apart_m: float, most: int) -> list[Seen]:
-    """At most so many of some places, the nearest first, none nearer than `apart_m` to another one to the
-    side."""
-    chosen: list[Seen] = []
-    for place in sorted(places, key=lambda seen: math.dist(seen.position, here)):
-        p = place.position
-        if all(math.hypot(p[0] - q[0], p[1] - q[1]) >= apart_m for q in (c.position for c in chosen)):
-            chosen.append(place)
-            if len(chosen) == most:
-                break
-    return chosen

@@ -28,7 +28,7 @@ from companion.events import (
     SensedAircraft,
     Severity,
 )
-from companion.events.sensed import SENSED, SENSED_SPACE
+from companion.events.sensed import SENSED, SENSED_WALL
 from companion.geometry import Vec3
 from companion.ownship import Ownship
 from companion.traffic.sensed import objects as followed
@@ -183,40 +183,40 @@ class SensedTraffic:
         name of the sensed track."""
         return {key: SENSED + name for key, name in self._fusing.fused.items()}
 
-    def joined(
-        self, now_s: float, here: Vec3, own_sigma_m: float, heard: Sequence[Neighbour]
-    ) -> list[Neighbour]:
+    def joined(self, now_s: float, own: Ownship, heard: Sequence[Neighbour]) -> list[Neighbour]:
         """The transmitted tracks that are not sensed, and all that is sensed, as input of the law.
 
         Args:
-            here: own position (local NED, m).
-            own_sigma_m: error of the own position, one standard deviation for each axis.
             heard: all transmitted tracks.
         """
-        left = self._fusing.look(now_s, heard, self._confirmed(now_s), own_sigma_m)
-        return left + self.look(now_s, here, own_sigma_m)
+        left = self._fusing.look(now_s, heard, self._confirmed(now_s), own.sigma_m)
+        return left + self.look(now_s, own)
 
-    def look(self, now_s: float, here: Vec3, own_sigma_m: float) -> list[Neighbour]:
-        """All that is sensed. Arguments are those of `joined`; nothing changes."""
-        found = [self._object(one, now_s, here, own_sigma_m) for one in self._confirmed(now_s)]
+    def look(self, now_s: float, own: Ownship) -> list[Neighbour]:
+        """All that is sensed. Nothing changes."""
+        here, sigma_m = own.position_ned_m(now_s), own.sigma_m
+        found = [
+            self._object(one, now_s, here, own.velocity_ned_mps, sigma_m) for one in self._confirmed(now_s)
+        ]
         return found + [
-            self._patch(patch, now_s, here, own_sigma_m)
-            for patch in self._surfaces.held
+            self._patch(patch, now_s, here, sigma_m)
+            for patch in self._surfaces.held.values()
             if patch.measured >= walls.CONFIRMED and 0.0 <= now_s - patch.at_s <= walls.EXPIRE_S
         ]
 
     def _confirmed(self, now_s: float) -> list[Followed]:
         return [one for one in self._objects.held if one.confirmed and 0.0 <= now_s - one.at_s <= one.kept_s]
 
-    def _object(self, one: Followed, now_s: float, here: Vec3, own_sigma_m: float) -> Neighbour:
+    def _object(
+        self, one: Followed, now_s: float, here: Vec3, own_velocity: Vec3, own_sigma_m: float
+    ) -> Neighbour:
         level = abs(one.position[2] - here[2]) <= LEVEL_M
         known = one.vertical_known and not one.tall and (not level or (one.moves and not one.flat))
         error_m = followed.TRACKED_SIGMA_M if one.tracked else self._error_m(one.distance_m)
-        vn, ve, vd = one.velocity
         return Neighbour(
             track_id=SENSED + one.name,
             position_ned_m=one.position,
-            velocity_ned_mps=(vn, ve, 0.0 if one.flat else vd) if one.moves else (0.0, 0.0, 0.0),
+            velocity_ned_mps=one.seen_from(here, own_velocity),
             age_s=now_s - one.at_s,
             sigma_m=_sigma_m(one.across_m + _ERRORS * error_m, own_sigma_m),
             sigma_mps=one.sigma_mps if one.moves else 0.0,
@@ -226,16 +226,17 @@ class SensedTraffic:
         )
 
     def _patch(self, patch: Patch, now_s: float, here: Vec3, own_sigma_m: float) -> Neighbour:
-        error_m = self._error_m(math.dist(patch.position, here))
+        place = patch.place
+        error_m = self._error_m(math.dist(place.position, here))
         return Neighbour(
-            track_id=f"{SENSED}wall{SENSED_SPACE}{patch.name}",
-            position_ned_m=patch.position,
+            track_id=f"{SENSED_WALL}{patch.name}",
+            position_ned_m=place.position,
             velocity_ned_mps=(0.0, 0.0, 0.0),
             age_s=now_s - patch.at_s,
-            sigma_m=_sigma_m(patch.across_m + _ERRORS * error_m, own_sigma_m),
+            sigma_m=_sigma_m(place.across_m + _ERRORS * error_m, own_sigma_m),
             sigma_mps=0.0,
             share=1.0,
-            vertical_known=abs(patch.position[2] - here[2]) > LEVEL_M,
+            vertical_known=abs(place.position[2] - here[2]) > LEVEL_M,
             proven=True,
         )
 

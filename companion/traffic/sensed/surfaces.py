@@ -1,9 +1,10 @@
 """Surfaces that a sensor sees (walls, trees, masts with wires): a bounded number of places that stand still.
 
 The visible part of a wall moves along with the aircraft, so that its middle would seem to fly. Its places are
-therefore not followed with a velocity: each scan gives new ones, which keep the names of those that they
-replace. Places that lie out of the sensor's view are remembered for a moment, because an aircraft that turns
-away from a wall does not see it any more.
+therefore not followed with a velocity: each is the nearest measurement in a cell of a grid over the ground,
+and bears the name of the cell, so that it is the same place for as long as the wall stands there. Places out
+of the sensor's view are remembered for a moment, because an aircraft that turns away from a wall does not see
+it any more.
 """
 
 from __future__ import annotations
@@ -13,36 +14,39 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from companion.geometry import Vec3
 from companion.traffic.sensed.pose import Pose
-from companion.traffic.sensed.seen import Seen, View, spread
+from companion.traffic.sensed.seen import Seen, View
 
 MOST: Final = 16
 """Most places of surfaces that are held, the nearest ones."""
-APART_M: Final = 6.0
-"""Least distance of two of them. It is less than the radius that is kept from each, so that no gap opens."""
+CELL_M: Final = 6.0
+"""Width of a cell. It is less than the radius that is kept from each place, so that no gap opens."""
 EXPIRE_S: Final = 3.0
 CONFIRMED: Final = 2
+
+Cell = tuple[int, int]
 
 
 @dataclass(slots=True)
 class Patch:
-    """One place of a surface."""
+    """One place of a surface: the latest measurement in its cell."""
 
-    name: str
+    cell: Cell
     at_s: float
-    position: Vec3
-    across_m: float
-    flat: bool
+    place: Seen
     measured: int = 1
+
+    @property
+    def name(self) -> str:
+        """North and east of the cell in steps of CELL_M."""
+        return f"{self.cell[0]}/{self.cell[1]}"
 
 
 @dataclass(slots=True)
 class Surfaces:
     """At most `MOST` places."""
 
-    held: list[Patch] = field(default_factory=list)
-    _last: int = 0
+    held: dict[Cell, Patch] = field(default_factory=dict)
 
     def clear(self) -> None:
         """Forget all of them."""
@@ -50,36 +54,27 @@ class Surfaces:
 
     def expire(self, now_s: float) -> None:
         """Remove those that were not seen for too long."""
-        self.held = [one for one in self.held if 0.0 <= now_s - one.at_s <= EXPIRE_S]
+        self.held = {cell: one for cell, one in self.held.items() if 0.0 <= now_s - one.at_s <= EXPIRE_S}
 
     def see(self, places: Sequence[Seen], pose: Pose, view: View | None) -> None:
         """Take in what one component saw at a time. Arguments are those of `Objects.see`."""
         if not places and not self.held:
             return
-        chosen = spread(places, pose.position, APART_M, MOST)
-        before = list(self.held)
-        renewed: list[Patch] = []
-        for place in chosen:
-            old = min(before, key=lambda one: _apart(one.position, place.position), default=None)
-            if old is not None and _apart(old.position, place.position) < APART_M:
-                before.remove(old)
-                patch = Patch(
-                    old.name, pose.at_s, place.position, place.across_m, place.flat, old.measured + 1
-                )
-            else:
-                self._last += 1
-                patch = Patch(str(self._last), pose.at_s, place.position, place.across_m, place.flat)
-            renewed.append(patch)
-        unseen = [
+        nearest: dict[Cell, Seen] = {}
+        for place in sorted(places, key=lambda seen: math.dist(seen.position, pose.position)):
+            nearest.setdefault(_cell(place), place)
+        for cell, place in nearest.items():
+            before = self.held.get(cell)
+            self.held[cell] = Patch(cell, pose.at_s, place, 1 if before is None else before.measured + 1)
+        held = [
             one
-            for one in before
-            if all(_apart(one.position, new.position) >= APART_M for new in renewed)
-            and not (view is not None and view.passes(one.position))
+            for cell, one in self.held.items()
+            if cell in nearest or view is None or not view.passes(one.place.position, flat=one.place.flat)
         ]
-        held = renewed + unseen
-        held.sort(key=lambda one: (math.dist(one.position, pose.position), one.name))
-        self.held = held[:MOST]
+        held.sort(key=lambda one: (math.dist(one.place.position, pose.position), one.cell))
+        self.held = {one.cell: one for one in held[:MOST]}
 
 
-def _apart(a: Vec3, b: Vec3) -> float:
-    return math.hypot(a[0] - b[0], a[1] - b[1])
+def _cell(place: Seen) -> Cell:
+    north, east, _ = place.position
+    return math.floor(north / CELL_M), math.floor(east / CELL_M)

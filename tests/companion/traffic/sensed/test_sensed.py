@@ -81,6 +81,21 @@ def test_an_aircraft_that_is_not_known_to_move_yet_stands():
     assert one(world).velocity_ned_mps[0] == pytest.approx(-3.0, abs=1.0)
 
 
+def test_what_moves_is_on_collision_course_until_its_motion_across_is_known():
+    """Its bearing stays as it is, as seen from an aircraft that flies north at 5 m/s."""
+    ahead = lambda t: (30.0 - 6.0 * (t - 10.0), 26.0 - 8.0 * (t - 10.0))  # noqa: E731
+    world = World(things=lambda t: [(*ahead(t), 0.5)], velocity=(5.0, 0.0, 0.0))
+    world.run(0.5)
+    other = one(world)
+    n, e = ahead(world.now_s)[0] - world.position[0], ahead(world.now_s)[1]
+    un, ue = n / math.hypot(n, e), e / math.hypot(n, e)
+    vn, ve, _ = other.velocity_ned_mps
+    across = (un * ve - ue * vn) - (un * 0.0 - ue * 5.0)
+    assert abs(across) < 2.0, "relative to us it does not move across"
+    world.run(1.5)
+    assert one(world).velocity_ned_mps[:2] == (pytest.approx(-6.0, abs=2.0), pytest.approx(-8.0, abs=2.0))
+
+
 @pytest.mark.parametrize("east_mps", [0.0, 2.0])
 def test_a_wall_is_a_bounded_number_of_places_that_stand_and_leave_no_gap(east_mps):
     world = World(walls=[((45.0, -60.0, 0.0), (45.0, 60.0, 0.0))], velocity=(4.0, east_mps, 0.0))
@@ -234,13 +249,15 @@ def test_a_new_local_frame_forgets_everything():
 # ------------------------------------------------------------ the end of tracks
 
 
-def test_a_moving_object_is_kept_for_a_second_and_a_standing_one_for_three():
+def test_a_moving_object_is_kept_for_two_seconds_and_a_standing_one_for_three():
     world = World(things=lambda t: [(25.0, -20.0 + 7.0 * (t - 10.0), 0.5), (-20.0, 0.0, 0.3)])
     world.run(2.0)
     assert len(world.seen()) == 2
-    world.run(1.1, scans=False)
+    world.run(1.8, scans=False)
+    assert len(world.seen()) == 2
+    world.run(0.3, scans=False)
     assert one(world).velocity_ned_mps == (0.0, 0.0, 0.0)
-    world.run(2.0, scans=False)
+    world.run(1.0, scans=False)
     assert world.seen() == []
 
 

@@ -144,11 +144,10 @@ class World:
             self.step(**how)
 
     def seen(self) -> list[Neighbour]:
-        return self.sensed.look(self.now_s, self.own.position_ned_m(self.now_s), self.own.sigma_m)
+        return self.sensed.look(self.now_s, self.own)
 
     def fused(self, *heard: Neighbour) -> list[Neighbour]:
-        here = self.own.position_ned_m(self.now_s)
-        return self.sensed.joined(self.now_s, here, self.own.sigma_m, heard)
+        return self.sensed.joined(self.now_s, self.own, heard)
 
 
 def place(other: Neighbour) -> Vec3:
