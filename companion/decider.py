@@ -15,6 +15,7 @@ from companion.avoidance.alerts import Alerts
 from companion.avoidance.law import LawResult, Neighbour, Situation
 from companion.config import Config
 from companion.events import AlertChanged, Command, Decision, Say, Severity
+from companion.events.sensed import SENSED_WALL
 from companion.ownship import Ownship
 from companion.traffic.adsb import AdsbTraffic
 from companion.traffic.sensed import SensedTraffic
@@ -22,6 +23,8 @@ from companion.traffic.tracks import Traffic
 
 _LATE_STEP_S = 30.0
 """The pilot is informed each time the path's delay has grown by this much."""
+_WALL_S = 10.0
+"""Least time between two texts about places of walls."""
 _QUIET_LOG_S = 1.0
 """Time between logged decisions in quiet states. While avoiding or recovering, every decision is logged."""
 
@@ -55,7 +58,7 @@ class Decider:
         """All neighbours. The law is given those that their allowances admit."""
         self._heights_m: tuple[float, float] | None = None
         """Floor and ceiling of the containment; None: the vehicle is not held."""
-        self._decided_s = self._logged_s = -math.inf
+        self._decided_s = self._logged_s = self._said_wall_s = -math.inf
         self._told_late_s: float | None = None
         """Delay of the path when it was last reported or when the vehicle was taken; None: not controlled."""
 
@@ -140,7 +143,17 @@ class Decider:
     def _alert(self, now_s: float, result: LawResult | None) -> list[Command]:
         position, velocity = self._own.position_ned_m(now_s), self._own.velocity_ned_mps
         told = self.alerts.look(now_s, position, velocity, self._neighbours, result)
-        return told if self._sensed is None else [_named(command, self._sensed.fused) for command in told]
+        if self._sensed is None:
+            return told
+        return [_named(c, self._sensed.fused) for c in told if not self._says_again(now_s, c)]
+
+    def _says_again(self, now_s: float, command: Command) -> bool:
+        """Whether a text says of one more place of a wall what was said of another one."""
+        if not isinstance(command, Say) or SENSED_WALL not in command.text:
+            return False
+        again = now_s - self._said_wall_s < _WALL_S
+        self._said_wall_s = self._said_wall_s if again else now_s
+        return again
 
     def _tell_late(self, result: LawResult) -> list[Command]:
         """Report a growing delay of the path.

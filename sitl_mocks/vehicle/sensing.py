@@ -23,7 +23,7 @@ from companion.geometry import LocalFrame, Vec3
 COMPONENT: Final = 196
 """MAV_COMP_ID_OBSTACLE_AVOIDANCE."""
 SECTORS: Final = 72
-_WALL_STEP_M: Final = 0.5
+_WALL_STEP_M: Final = 1.0
 _POINTS_APART_M: Final = 3.0
 _POINT_HEIGHTS_M: Final = (-4.0, -2.0, 0.0, 2.0, 4.0)
 _MOST_POINTS: Final = 40
@@ -125,6 +125,8 @@ class Sensor:
         self._home = home
         self._rng = rng
         self._turned_rad = math.radians(options.bearing_sigma_deg) * float(rng.standard_normal())
+        self._most_sine = math.sin(math.radians(0.5 * options.vertical_deg))
+        self._most_angle = math.radians(0.5 * options.fov_deg)
         self._next_s = -math.inf
         self._writer = MavlinkWriter(system_id, COMPONENT)
 
@@ -180,14 +182,20 @@ class Sensor:
         self, place: Vec3, position: Vec3, rows: _Rows, radius: float
     ) -> tuple[float, float, Vec3] | None:
         """Distance, angle and place along the body's axes of what is seen there; None: it is not seen."""
-        away = tuple(q - p for p, q in zip(position, place, strict=True))
-        x, y, z = (sum(row[k] * a for row, a in zip(rows, away, strict=True)) for k in range(3))
-        distance, angle = math.hypot(x, y, z), math.atan2(y, x)
+        n, e, d = place[0] - position[0], place[1] - position[1], place[2] - position[2]
+        distance = math.sqrt(n * n + e * e + d * d)
         if not radius < distance <= self._options.range_m + radius:
             return None
-        if abs(math.asin(z / distance)) > math.radians(0.5 * self._options.vertical_deg):
+        a, b, c = rows
+        x, y, z = (
+            a[0] * n + b[0] * e + c[0] * d,
+            a[1] * n + b[1] * e + c[1] * d,
+            a[2] * n + b[2] * e + c[2] * d,
+        )
+        if abs(z) > self._most_sine * distance:
             return None
-        if abs(angle) > math.radians(0.5 * self._options.fov_deg):
+        angle = math.atan2(y, x)
+        if abs(angle) > self._most_angle:
             return None
         return distance - radius, angle, (x, y, z)
 

@@ -46,6 +46,8 @@ TRACKED_SIGMA_MPS: Final = 1.0
 _GATE: Final = 3.0
 _ROOM_M: Final = 1.5
 _HIGH_M: Final = 8.0
+_FAR_M: Final = 60.0
+"""Nothing that is farther off than this is looked at more closely."""
 _HEIGHT_SHARE: Final = 0.05
 """Error of a height as a share of the distance."""
 _SIGNIFICANT2, _INSIGNIFICANT2 = 9.0, 4.0
@@ -101,6 +103,8 @@ class Followed:
     vertical_known: bool
     tracked: bool
     """The sensor reports its velocity."""
+    met_mps: Vec3
+    """Own velocity when it was first seen."""
     measured: int = 1
     moves: bool = False
     passed: int = 0
@@ -123,12 +127,12 @@ class Followed:
         """Error of its velocity, one standard deviation on the worse axis."""
         return math.sqrt(max(self.along.vv, self.across.vv))
 
-    def seen_from(self, here: Vec3, own_velocity: Vec3) -> Vec3:
+    def seen_from(self, here: Vec3) -> Vec3:
         """Its velocity as it is to be assumed: none if it stands, and on collision course as far as its
         motion across the line of sight is not known.
 
         Args:
-            here, own_velocity: our own position and velocity (NED, m and m/s).
+            here: own position (NED, m).
         """
         if not self.moves:
             return 0.0, 0.0, 0.0
@@ -136,14 +140,30 @@ class Followed:
         if not self.tracked:
             un, ue = _sight(here, self.position)
             unknown = min(1.0, self.across.vv / FIRST_ACROSS_MPS**2)
-            across = unknown * (un * own_velocity[1] - ue * own_velocity[0])
+            across = unknown * (un * self.met_mps[1] - ue * self.met_mps[0])
             vn, ve = vn - across * ue, ve + across * un
-        return vn, ve, 0.0 if self.flat else vd
+        sinks = not self.flat and (self.tracked or vd * vd > _INSIGNIFICANT2 * self.high.vv)
+        return vn, ve, vd if sinks else 0.0
 
     def at(self, at_s: float) -> Vec3:
         """Its place at a time, if it keeps its velocity; it stands unless it is known to move."""
         (n, e, d), (vn, ve, vd), t = self.position, self.velocity, at_s - self.at_s
         return n + t * vn, e + t * ve, d + t * vd
+
+
+class _Expected:
+    """Where an object is expected at the time of a measurement, and the variances of that."""
+
+    __slots__ = ("across", "along", "d", "e", "high", "n", "one", "passed_s", "sight")
+
+    def __init__(self, one: Followed, pose: Pose) -> None:
+        self.one = one
+        self.passed_s = pose.at_s - one.at_s
+        self.n, self.e, self.d = one.at(pose.at_s)
+        self.sight = _sight(pose.position, (self.n, self.e, self.d))
+        self.along = one.along.later(self.passed_s).pp
+        self.across = one.across.later(self.passed_s).pp
+        self.high = one.high.later(self.passed_s).pp
 
 
 @dataclass(slots=True)
@@ -170,14 +190,17 @@ class Objects:
         Args:
             view: what it says of objects that it did not see; None: nothing.
         """
+        if len(places) > MOST:
+            places = sorted(places, key=lambda place: math.dist(place.position, pose.position))[:MOST]
         free = [one for one in self.held if one.at_s <= pose.at_s]
+        expected = [_Expected(one, pose) for one in free]
+        keys = [None if place.number is None else (component, place.number) for place in places]
         near = []
         for number, place in enumerate(places):
-            key = None if place.number is None else (component, place.number)
-            for one in free:
-                off = self._off(one, place, key, pose)
+            for where in expected:
+                off = self._off(where, place, keys[number], pose)
                 if off is not None:
-                    near.append((off, number, one))
+                    near.append((off, number, where.one))
         near.sort(key=lambda entry: (entry[0], entry[1]))
         used: set[int] = set()
         fed: set[str] = set()
@@ -208,22 +231,25 @@ class Objects:
         high = max(1.0, _HEIGHT_SHARE * away)
         return self.config.range_sigma_m**2, max(across, 0.01), high * high
 
-    def _off(self, one: Followed, place: Seen, key: tuple[int, int] | None, pose: Pose) -> float | None:
+    def _off(self, where: _Expected, place: Seen, key: tuple[int, int] | None, pose: Pose) -> float | None:
         """How far a place is from where an object is expected, in deviations; None: it is another thing."""
+        one = where.one
         if key is not None and one.key is not None and key != one.key:
             return None
-        (n, e, d), passed_s = one.at(pose.at_s), pose.at_s - one.at_s
-        un, ue = _sight(pose.position, (n, e, d))
-        off_n, off_e = place.position[0] - n, place.position[1] - e
+        off_n, off_e = place.position[0] - where.n, place.position[1] - where.e
+        un, ue = where.sight
         along, across = un * off_n + ue * off_e, un * off_e - ue * off_n
-        noise = self._noise(place, pose, passed_s)
-        s_along = math.sqrt(one.along.later(passed_s).pp + noise[0])
-        s_across = math.sqrt(one.across.later(passed_s).pp + noise[1])
+        if abs(along) > _FAR_M or abs(across) > _FAR_M:
+            return None
+        noise = self._noise(place, pose, where.passed_s)
+        s_along = math.sqrt(where.along + noise[0])
+        s_across = math.sqrt(where.across + noise[1])
         if abs(along) > _GATE * s_along + _ROOM_M or abs(across) > _GATE * s_across + _ROOM_M:
             return None
-        if place.vertical_known and one.vertical_known and not (one.tall or place.tall):
-            high = math.sqrt(one.high.later(passed_s).pp + noise[2])
-            if abs(place.position[2] - d) > _GATE * high + _HIGH_M:
+        upright = place.flat or one.flat or one.tall or place.tall
+        if place.vertical_known and one.vertical_known and not upright:
+            high = math.sqrt(where.high + noise[2])
+            if abs(place.position[2] - where.d) > _GATE * high + _HIGH_M:
                 return None
         same = key is not None and key == one.key
         return -1.0 if same else math.hypot(along / s_along, across / s_across)
@@ -305,6 +331,7 @@ class Objects:
             tall=place.tall,
             vertical_known=place.vertical_known,
             tracked=tracked,
+            met_mps=pose.velocity,
             measured=CONFIRMED if place.number is not None else 1,
         )
         one.moves = tracked and math.hypot(*one.velocity) > STANDING_MPS

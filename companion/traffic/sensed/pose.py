@@ -35,6 +35,8 @@ class Pose:
     """Our monotonic time of the measurement."""
     position: Vec3
     """Local NED, m."""
+    velocity: Vec3
+    """NED, m/s."""
     rows: tuple[Vec3, Vec3, Vec3]
     """Rows of the matrix that turns body axes (forward, right, down) into NED."""
     yaw_rad: float
@@ -105,6 +107,7 @@ class Poses:
         return Pose(
             at_s=at_s,
             position=here,
+            velocity=own.velocity_ned_mps,
             rows=_rows(near.roll, near.pitch, near.yaw),
             yaw_rad=near.yaw,
             turn_rps=turn_rps,

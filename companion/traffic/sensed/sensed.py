@@ -41,6 +41,8 @@ from companion.traffic.sensed.surfaces import Patch, Surfaces
 
 LEVEL_M: Final = 10.0
 """What stands within this height of ours is passed to the side only: how tall it is, is not known."""
+_LEANS: Final = 0.15
+"""Share of the distance by which the plane of a scan may miss the height of what it sees."""
 MOST_SPAN_S: Final = 0.2
 """Measurements that may have waited longer than this before they were read are not used."""
 _ERRORS: Final = 3.0
@@ -105,6 +107,10 @@ class SensedTraffic:
                     self._poses.note_local(event, now_s)
                 case ObstacleScan() | ObstaclePoint() | SensedAircraft():
                     measured.append(event)
+        if own.unfit(now_s, self._stale_after_s) is not None:
+            # Where the own position jumped, everything lies elsewhere.
+            self._objects.clear()
+            self._surfaces.clear()
         if not measured:
             return
         self._count(measured, now_s)
@@ -195,9 +201,7 @@ class SensedTraffic:
     def look(self, now_s: float, own: Ownship) -> list[Neighbour]:
         """All that is sensed. Nothing changes."""
         here, sigma_m = own.position_ned_m(now_s), own.sigma_m
-        found = [
-            self._object(one, now_s, here, own.velocity_ned_mps, sigma_m) for one in self._confirmed(now_s)
-        ]
+        found = [self._object(one, now_s, here, sigma_m) for one in self._confirmed(now_s)]
         return found + [
             self._patch(patch, now_s, here, sigma_m)
             for patch in self._surfaces.held.values()
@@ -207,16 +211,14 @@ class SensedTraffic:
     def _confirmed(self, now_s: float) -> list[Followed]:
         return [one for one in self._objects.held if one.confirmed and 0.0 <= now_s - one.at_s <= one.kept_s]
 
-    def _object(
-        self, one: Followed, now_s: float, here: Vec3, own_velocity: Vec3, own_sigma_m: float
-    ) -> Neighbour:
-        level = abs(one.position[2] - here[2]) <= LEVEL_M
+    def _object(self, one: Followed, now_s: float, here: Vec3, own_sigma_m: float) -> Neighbour:
+        level = abs(one.position[2] - here[2]) <= _level_m(one.flat, one.distance_m)
         known = one.vertical_known and not one.tall and (not level or (one.moves and not one.flat))
         error_m = followed.TRACKED_SIGMA_M if one.tracked else self._error_m(one.distance_m)
         return Neighbour(
             track_id=SENSED + one.name,
             position_ned_m=one.position,
-            velocity_ned_mps=one.seen_from(here, own_velocity),
+            velocity_ned_mps=one.seen_from(here),
             age_s=now_s - one.at_s,
             sigma_m=_sigma_m(one.across_m + _ERRORS * error_m, own_sigma_m),
             sigma_mps=one.sigma_mps if one.moves else 0.0,
@@ -236,7 +238,8 @@ class SensedTraffic:
             sigma_m=_sigma_m(place.across_m + _ERRORS * error_m, own_sigma_m),
             sigma_mps=0.0,
             share=1.0,
-            vertical_known=abs(place.position[2] - here[2]) > LEVEL_M,
+            vertical_known=abs(place.position[2] - here[2])
+            > _level_m(place.flat, math.dist(place.position, here)),
             proven=True,
         )
 
@@ -259,6 +262,11 @@ class SensedTraffic:
             return []
         self._said_s = now_s
         return [Say(severity=Severity.WARNING, text=f"DMUCA: {text}")]
+
+
+def _level_m(flat: bool, distance_m: float) -> float:
+    """Within which difference of heights (m) a thing counts as at our height."""
+    return LEVEL_M + (_LEANS * distance_m if flat else 0.0)
 
 
 def _sigma_m(margin_m: float, own_sigma_m: float) -> float:

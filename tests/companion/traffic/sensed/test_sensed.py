@@ -388,7 +388,10 @@ def test_there_are_never_more_tracks_than_the_bound():
         world.step(*points, scans=False)
         world.step(*[point(-30.0, float(e), 0.0) for e in range(-100, 100, 2)], scans=False)
         assert len(world.seen()) <= objects.MOST + surfaces.MOST
-    assert world.sensed._objects.refused > 0
+    before = world.sensed._objects.refused
+    for _ in range(3):
+        world.step(*[point(90.0 + i, -40.0 + 7.0 * i, 0.0, number=200 + i) for i in range(12)], scans=False)
+    assert world.sensed._objects.refused > before, "farther ones find no room"
     assert MOST_POINTS < 100
 
 
