@@ -127,8 +127,8 @@ def test_what_a_sensor_saw_is_named_so_and_the_places_of_a_wall_are_one(tmp_path
     words = told(tmp_path)
     assert "Nearest other aircraft" not in words
     assert (
-        f"Nearest thing that a sensor aboard saw: {SENSED_WALL.strip()}, 20.02 m from ONE at 4.0 s (own sensor, "
-        "as predicted aboard); 2 obstacles or aircraft in conflict in all" in words
+        f"Nearest thing that a sensor aboard saw: {SENSED_WALL.strip()}, 20.02 m from ONE at 4.0 s "
+        "(own sensor, as predicted aboard); 2 obstacles or aircraft in conflict in all" in words
     )
 
 
