@@ -88,7 +88,6 @@ class Followed:
     key: tuple[int, int] | None
     """Component and number, if the sensor follows it itself."""
     at_s: float
-    first_s: float
     position: Vec3
     velocity: Vec3
     along: _Axis
@@ -319,7 +318,6 @@ class Objects:
             name=str(self._last),
             key=None if place.number is None else (component, place.number),
             at_s=pose.at_s,
-            first_s=pose.at_s,
             position=place.position,
             velocity=_bounded(place.velocity or (0.0, 0.0, 0.0)),
             along=axes[0],

@@ -45,6 +45,8 @@ _LEANS: Final = 0.15
 """Share of the distance by which the plane of a scan may miss the height of what it sees."""
 MOST_SPAN_S: Final = 0.2
 """Measurements that may have waited longer than this before they were read are not used."""
+_MOST_SCANS: Final = 4
+"""Most scans that are used in one step."""
 _ERRORS: Final = 3.0
 """Deviations of a measurement that the margin contains, besides the width of the sectors."""
 _REFUSED_S, _SILENT_S, _AGAIN_S = 2.0, 3.0, 10.0
@@ -133,11 +135,11 @@ class SensedTraffic:
                 self._scan_s = now_s
 
     def _see(self, measured: Sequence[Event], pose: Pose, own: Ownship) -> None:
-        # Several scans of one component in a step are dated alike, so that only the newest one counts.
-        scans = {event.component: event for event in measured if isinstance(event, ObstacleScan)}
-        for component, scan in scans.items():
+        # Scans of the same sectors in one step are dated alike, so that only the newest one counts.
+        scans = {(e.component, e.axes, e.first_deg): e for e in measured if isinstance(e, ObstacleScan)}
+        for scan in list(scans.values())[-_MOST_SCANS:]:
             sight, view = sight_of_scan(scan, pose, self._config), View(scan, pose, self._config)
-            self._objects.see(component, sight.objects, pose, view)
+            self._objects.see(scan.component, sight.objects, pose, view)
             self._surfaces.see(sight.surfaces, pose, view)
         points: dict[int, list[ObstaclePoint]] = {}
         for event in measured:

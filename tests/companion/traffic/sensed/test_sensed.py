@@ -185,6 +185,34 @@ def test_sectors_may_be_counted_either_way(step_deg):
     assert off(one(world), 0.0, math.copysign(20.0, step_deg)) < 0.5
 
 
+def test_two_scans_of_one_component_in_a_step_may_cover_a_half_each():
+    halves = [
+        ObstacleScan(
+            component=196, axes="nose", first_deg=first, step_deg=5.0, max_cm=4000,
+            distances_cm=(*[NOTHING] * 18, 2000, *[NOTHING] * 17),
+        )
+        for first in (-90.0, 90.0)
+    ]  # fmt: skip
+    world = World()
+    for _ in range(5):
+        world.step(*halves, scans=False)
+    assert sorted(round(place(other)[0]) for other in world.seen()) == [-20, 20]
+
+
+def test_a_flood_of_scans_in_one_step_is_bounded():
+    world = World()
+    flood = [
+        ObstacleScan(
+            component=196, axes="nose", first_deg=float(i), step_deg=5.0, max_cm=4000, distances_cm=(2000,)
+        )
+        for i in range(100)
+    ]
+    for _ in range(3):
+        world.step(*flood, scans=False)
+    assert world.sensed.counts.scans == 300
+    assert len(world.seen()) <= objects.MOST + surfaces.MOST
+
+
 def test_one_measurement_is_not_enough():
     world = World(things=lambda t: [(20.0, 0.0, 0.3)] if t < 10.06 else [])
     world.run(0.1)
