@@ -23,6 +23,7 @@ from companion.config import Config
 from companion.decider import Decider
 from companion.events import (
     AdsbVehicle,
+    Attitude,
     ClockRead,
     Command,
     CurrentMode,
@@ -34,15 +35,19 @@ from companion.events import (
     Heartbeat,
     InputBehind,
     Landed,
+    LocalPosition,
     MissionDownloaded,
     MissionRefused,
     ModeRefused,
+    ObstaclePoint,
+    ObstacleScan,
     OperatorData,
     RadioState,
     RcChannels,
     RemoteIdHeard,
     RemoteIdModule,
     Say,
+    SensedAircraft,
     Settings,
     Severity,
     TwoAutopilots,
@@ -54,6 +59,7 @@ from companion.laws import plugin_of
 from companion.ownship import Ownship
 from companion.traffic.adsb import AdsbTraffic
 from companion.traffic.published import Publication, is_published
+from companion.traffic.sensed import SensedTraffic
 from companion.traffic.tracks import Traffic
 
 
@@ -78,9 +84,13 @@ class Companion:
         identity = config.identity
         self.traffic = Traffic(config.traffic, identity.uas_id, identity.ua_type, config.avoidance)
         self.adsb = AdsbTraffic(None if identity.icao is None else int(identity.icao, 16), config.avoidance)
+        self.sensed: SensedTraffic | None = None
+        """What sensors aboard see; None: they are not used."""
+        if config.sensed.use:
+            self.sensed = SensedTraffic(config.sensed, config.vehicle.stale_after_s)
         self._publication = Publication()
         self.plan: Plan = plan_of(config)
-        self._decider = Decider(config, self.own, self.plan.course, self.traffic, self.adsb)
+        self._decider = Decider(config, self.own, self.plan.course, self.traffic, self.adsb, self.sensed)
         self.alerts = self._decider.alerts
         self.broadcaster = Broadcaster(config)
         self._readiness = Readiness(config, self.own, self.broadcaster)
@@ -152,6 +162,7 @@ class Companion:
         shown: list[Heartbeat] = []
         heard: list[RemoteIdHeard] = []
         seen: list[AdsbVehicle] = []
+        sensed: list[Event] = []
         for event in events:
             match event:
                 case RemoteIdHeard():
@@ -160,6 +171,11 @@ class Companion:
                 case AdsbVehicle():
                     if not is_published(event):
                         seen.append(event)
+                case Attitude() | ObstacleScan() | ObstaclePoint() | SensedAircraft():
+                    sensed.append(event)
+                case LocalPosition():
+                    own.observe(event, now_s, sent_s)
+                    sensed.append(event)
                 case RadioState() | OperatorData() | RemoteIdModule():
                     self.broadcaster.observe(event, now_s)
                     if isinstance(event, RadioState):
@@ -206,8 +222,12 @@ class Companion:
             self._frame = own.frame
             self.traffic.clear()
             self.adsb.clear()
+            if self.sensed is not None:
+                self.sensed.clear()
             self.plan.drop()
         self._hear(now_s, heard, seen)
+        if self.sensed is not None:
+            self.sensed.hear(sensed, now_s, own, sent_s=sent_s)
         self._choose_transports(now_s, commands)
         commands += self.broadcaster.step(own, now_s)
         return shown or ([] if own.heartbeat is None else [own.heartbeat])
@@ -256,6 +276,9 @@ class Companion:
         self.traffic.expire(now_s)
         commands += self.traffic.flagged(now_s)
         commands += self.adsb.full.due(now_s)
+        if self.sensed is not None:
+            self.sensed.expire(now_s)
+            commands += self.sensed.told(now_s, armed=self.own.armed)
         commands += self._publish(now_s)
         own, readiness = self.own, self._readiness
         readiness.look(now_s, shown)

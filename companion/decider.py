@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+import msgspec
 
 from companion.authority.course import Course
 from companion.authority.influence.allowance import Allowances
@@ -12,13 +14,17 @@ from companion.authority.table import HOLDING, State
 from companion.avoidance.alerts import Alerts
 from companion.avoidance.law import LawResult, Neighbour, Situation
 from companion.config import Config
-from companion.events import Command, Decision, Say, Severity
+from companion.events import AlertChanged, Command, Decision, Say, Severity
+from companion.events.sensed import SENSED_WALL
 from companion.ownship import Ownship
 from companion.traffic.adsb import AdsbTraffic
+from companion.traffic.sensed import SensedTraffic
 from companion.traffic.tracks import Traffic
 
 _LATE_STEP_S = 30.0
 """The pilot is informed each time the path's delay has grown by this much."""
+_WALL_S = 10.0
+"""Least time between two texts about places of walls."""
 _QUIET_LOG_S = 1.0
 """Time between logged decisions in quiet states. While avoiding or recovering, every decision is logged."""
 
@@ -31,7 +37,13 @@ class Decider:
     """
 
     def __init__(
-        self, config: Config, own: Ownship, course: Course, traffic: Traffic, adsb: AdsbTraffic
+        self,
+        config: Config,
+        own: Ownship,
+        course: Course,
+        traffic: Traffic,
+        adsb: AdsbTraffic,
+        sensed: SensedTraffic | None = None,
     ) -> None:
         self.alerts = Alerts(config.avoidance)
         self.allowances = Allowances(config)
@@ -41,11 +53,12 @@ class Decider:
         self._course = course
         self._traffic = traffic
         self._adsb = adsb
+        self._sensed = sensed
         self._neighbours: list[Neighbour] = []
         """All neighbours. The law is given those that their allowances admit."""
         self._heights_m: tuple[float, float] | None = None
         """Floor and ceiling of the containment; None: the vehicle is not held."""
-        self._decided_s = self._logged_s = -math.inf
+        self._decided_s = self._logged_s = self._said_wall_s = -math.inf
         self._told_late_s: float | None = None
         """Delay of the path when it was last reported or when the vehicle was taken; None: not controlled."""
 
@@ -108,7 +121,8 @@ class Decider:
 
     def _heard(self, now_s: float) -> list[Neighbour]:
         down_m = self._own.position_ned_m(now_s)[2]
-        return self._traffic.neighbours(now_s) + self._adsb.neighbours(now_s, down_m)
+        heard = self._traffic.neighbours(now_s) + self._adsb.neighbours(now_s, down_m)
+        return heard if self._sensed is None else self._sensed.joined(now_s, self._own, heard)
 
     def _situation(self, now_s: float, neighbours: Sequence[Neighbour]) -> Situation:
         own, limits, course = self._own, self._config.limits, self._course
@@ -128,7 +142,18 @@ class Decider:
 
     def _alert(self, now_s: float, result: LawResult | None) -> list[Command]:
         position, velocity = self._own.position_ned_m(now_s), self._own.velocity_ned_mps
-        return self.alerts.look(now_s, position, velocity, self._neighbours, result)
+        told = self.alerts.look(now_s, position, velocity, self._neighbours, result)
+        if self._sensed is None:
+            return told
+        return [_named(c, self._sensed.fused) for c in told if not self._says_again(now_s, c)]
+
+    def _says_again(self, now_s: float, command: Command) -> bool:
+        """Whether a text says of one more place of a wall what was said of another one."""
+        if not isinstance(command, Say) or SENSED_WALL not in command.text:
+            return False
+        again = now_s - self._said_wall_s < _WALL_S
+        self._said_wall_s = self._said_wall_s if again else now_s
+        return again
 
     def _tell_late(self, result: LawResult) -> list[Command]:
         """Report a growing delay of the path.
@@ -164,3 +189,15 @@ class Decider:
                 tracks=result.tracks,
             )
         ]
+
+
+def _named(command: Command, fused: Mapping[tuple[bool, str], str]) -> Command:
+    """An alert's end that says that its track is sensed from now on, if that is why it ended."""
+    if not isinstance(command, AlertChanged) or command.level:
+        return command
+    seen_as = fused.get((False, command.track_id)) or fused.get((True, command.track_id))
+    if seen_as is None:
+        return command
+    return msgspec.structs.replace(
+        command, reason=f"clear {command.track_id}: avoided as {seen_as}, which it is"
+    )

@@ -98,6 +98,7 @@ class CompanionSystem:
             yaw=config.flight.yaw,
             settings=self._own_parameters,
             information=ComponentInformation(config),
+            sensed=config.sensed,
         )
         self.signer = signer
         self._remote_id_component = config.remote_id.component and commanding

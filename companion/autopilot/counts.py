@@ -48,3 +48,7 @@ class LinkCounts(RemoteIdCounts):
     """Answers to our TIMESYNC that gave a reading of the vehicle's clock."""
     clock_answers: int = 0
     """Our answers to the vehicle's TIMESYNC."""
+    sensed: int = 0
+    """Attitudes and measurements of sensors aboard that were read."""
+    sensed_dropped: int = 0
+    """Of these, more in a second than are read."""

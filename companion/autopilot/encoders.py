@@ -21,6 +21,7 @@ from companion.autopilot.dialect import (
 )
 from companion.autopilot.readers import MAX_ICAO
 from companion.events import Threat, TrafficReport
+from companion.events.sensed import SENSED_HYPHEN
 from companion.geometry import Vec3
 
 Outgoing = tuple[int, bytes]
@@ -132,9 +133,11 @@ def statustext(severity: int, text: str, text_id: int) -> list[Outgoing]:
     """STATUSTEXT. A longer text is split into chunks under `text_id` (1-65535) and cut off after ten of them.
 
     Characters that are not printable ASCII become "?", because ground stations differ in which others they
-    show, and names in a text come from unknown senders.
+    show, and names in a text come from unknown senders. The hyphen in the names of what is sensed
+    (`traffic.sensed`) becomes a plain one.
     """
-    data = bytes(code if 0x20 <= code < 0x7F else 0x3F for code in text.encode("ascii", "replace"))
+    plain = text.replace(SENSED_HYPHEN, "-").encode("ascii", "replace")
+    data = bytes(code if 0x20 <= code < 0x7F else 0x3F for code in plain)
     if len(data) <= TEXT_BYTES:
         return [(mavlink.MAVLINK_MSG_ID_STATUSTEXT, _STATUSTEXT.pack(severity, data, 0, 0))]
     # A zero byte ends the text, so a text that fills its last chunk would need one more, empty chunk.

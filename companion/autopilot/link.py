@@ -51,13 +51,14 @@ from companion.autopilot.outbox import Outbox
 from companion.autopilot.polled.polling import Polling
 from companion.autopilot.readers import READERS, Fields, heartbeat, unpack
 from companion.autopilot.remote_id import RemoteIdComponent, RemoteIdListener
+from companion.autopilot.sensors import Sensors
 from companion.autopilot.served.component_information import ComponentInformation
 from companion.autopilot.served.own_parameters import OwnParameters
 from companion.autopilot.served.requests import GroundStations
 from companion.autopilot.signing import Signing
 from companion.autopilot.statustext import TextAssembler
 from companion.autopilot.wire import Frame, FrameScanner
-from companion.config import VehicleConfig
+from companion.config import SensedConfig, VehicleConfig
 from companion.errors import ConfigError, PeerDataError
 from companion.events import (
     ArmStatus,
@@ -101,6 +102,7 @@ class AutopilotLink:
         yaw: Literal["face", "hold"] = "face",
         settings: OwnParameters | None = None,
         information: ComponentInformation | None = None,
+        sensed: SensedConfig | None = None,
     ) -> None:
         """Create a link that has received nothing yet.
 
@@ -113,6 +115,7 @@ class AutopilotLink:
             settings: our own parameters that ground stations may read and set. None: there are none.
             information: answers ground stations' requests for information about the companion. None: not
                 answered.
+            sensed: which sensors of obstacles are read. None: none.
 
         Raises:
             ConfigError: `vehicle.component_id` is already the id of the Remote ID component.
@@ -133,7 +136,8 @@ class AutopilotLink:
         self._belief = None if signing is None else Belief(signing, heard)
         self._outbox = outbox = Outbox(config, self.counts, signing)
         self._heartbeat_sent_s: float | None = None
-        self._polling = Polling(heard, outbox, self._events, self.counts)
+        self._sensors = Sensors(sensed, self.counts)
+        self._polling = Polling(heard, outbox, self._events, self.counts, sensed=self._sensors.used)
         self._mode_and_speed = ModeAndSpeed(heard, outbox, self._events, self.counts)
         self._downloads = Downloads(heard, outbox, self._events)
         self._ground_stations = GroundStations(
@@ -200,6 +204,8 @@ class AutopilotLink:
             try:
                 if frame.message_id in remote_id.MESSAGE_IDS:
                     self._take_remote_id(frame, now_s)
+                elif self._sensors.takes(frame, self._vehicle_system):
+                    self._take_sensed(frame, now_s)
                 elif self._heard.is_ours(frame):
                     self._take(frame, now_s)
                 elif not self._ground_stations.handle(frame):
@@ -229,6 +235,13 @@ class AutopilotLink:
             self.counts.unneeded += 1
         else:
             self.counts.foreign += 1
+
+    def _take_sensed(self, frame: Frame, now_s: float) -> None:
+        if frame.component_id == encoders.AUTOPILOT_COMPONENT:
+            self._polling.streams.received(frame.message_id)
+        event = self._sensors.event(frame, now_s)
+        if event is not None:
+            self._events.append(event)
 
     def _take(self, frame: Frame, now_s: float) -> None:
         message_id = frame.message_id

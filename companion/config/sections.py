@@ -209,6 +209,30 @@ class TrafficConfig(_Section, frozen=True):
     aircraft are believed, in the form of `keys`."""
 
 
+class SensedConfig(_Section, frozen=True):
+    """Obstacles and aircraft that transmit nothing, as a sensor aboard reports them over MAVLink."""
+
+    use: bool = False
+    """Whether to read such a sensor. Without one on the link nothing changes."""
+    components: Annotated[tuple[Annotated[int, Meta(ge=2, le=255)], ...], Meta(max_length=8)] = (196,)
+    """MAVLink components of our own vehicle's system whose OBSTACLE_DISTANCE, OBSTACLE_DISTANCE_3D and
+    ADSB_VEHICLE are measurements. 196 is MAV_COMP_ID_OBSTACLE_AVOIDANCE. The first two are also taken from
+    the autopilot."""
+    min_range_m: Annotated[float, Meta(ge=0.2, le=20)] = 1.0
+    """Nearer measurements are of the own vehicle (rotors, landing gear), and not used."""
+    max_range_m: Annotated[float, Meta(ge=5, le=5000)] = 300.0
+    """Farther measurements are not used."""
+    range_sigma_m: Annotated[float, Meta(ge=0.02, le=20)] = 0.3
+    """Error of a measured distance, one standard deviation."""
+    bearing_sigma_deg: Annotated[float, Meta(ge=0.1, le=20)] = 1.5
+    """Error of a direction besides that of the sector's width: mounting and heading, one standard
+    deviation."""
+    latency_s: Annotated[float, Meta(ge=0, le=1)] = 0.1
+    """Time from a measurement to its arrival here."""
+    ground_m: Annotated[float, Meta(ge=-100, le=100)] = 3.0
+    """What is measured below this height above home is taken for the ground."""
+
+
 class SigningConfig(_Section, frozen=True):
     """Signatures over the own Remote ID by DRIP (RFC 9374, RFC 9575)."""
 
@@ -310,6 +334,7 @@ class Config(_Section, frozen=True):
     avoidance: AvoidanceConfig = AvoidanceConfig()
     containment: ContainmentConfig = ContainmentConfig()
     traffic: TrafficConfig = TrafficConfig()
+    sensed: SensedConfig = SensedConfig()
     remote_id: RemoteIdConfig = RemoteIdConfig()
     atmc: AtmcConfig = AtmcConfig()
     radio: tuple[RadioConfig, ...] = ()

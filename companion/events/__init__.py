@@ -26,6 +26,7 @@ from companion.events.remote_id import (
     RemoteIdModule,
     TransportsChosen,
 )
+from companion.events.sensed import Attitude, ObstaclePoint, ObstacleScan, SensedAircraft
 from companion.events.stored import (
     DownloadFence,
     DownloadMission,
@@ -74,15 +75,15 @@ from companion.events.vehicle import (
 
 __all__ = [
     "SIGMA_UNKNOWN_M", "AdsbVehicle", "AirPressure", "AlertChanged", "AllowanceSpent", "AnyCommand",
-    "AnyEvent", "ArmStatus", "AuthorityChanged", "Broadcast", "BroadcastChanged", "ClockRead", "Command",
-    "CurrentMode", "Decision", "DownloadFence", "DownloadMission", "EstimatorState", "Event", "FenceArea",
-    "FenceDownloaded", "FenceRefused", "Firmware", "FlightMode", "GateAuthority", "GateRefused",
+    "AnyEvent", "ArmStatus", "Attitude", "AuthorityChanged", "Broadcast", "BroadcastChanged", "ClockRead",
+    "Command", "CurrentMode", "Decision", "DownloadFence", "DownloadMission", "EstimatorState", "Event",
+    "FenceArea", "FenceDownloaded", "FenceRefused", "Firmware", "FlightMode", "GateAuthority", "GateRefused",
     "GlobalPosition", "GnssFix", "Heartbeat", "InputBehind", "Landed", "LandedState", "LocalPosition",
-    "MissionCurrent", "MissionDownloaded", "MissionItem", "MissionRefused", "ModeRefused",
-    "OperatorData", "Parameter", "RadioState", "RcChannels", "RemoteIdHeard", "RemoteIdModule", "Say",
-    "SetMode", "SetSpeed", "Settings", "Severity", "Threat", "TrackFlagged", "TrackView", "TrafficReport",
-    "TransportsChosen", "TwoAutopilots", "VehicleParameters", "VehicleText", "VehicleTime",
-    "VelocitySetpoint",
+    "MissionCurrent", "MissionDownloaded", "MissionItem", "MissionRefused", "ModeRefused", "ObstaclePoint",
+    "ObstacleScan", "OperatorData", "Parameter", "RadioState", "RcChannels", "RemoteIdHeard",
+    "RemoteIdModule", "Say", "SensedAircraft", "SetMode", "SetSpeed", "Settings", "Severity", "Threat",
+    "TrackFlagged", "TrackView", "TrafficReport", "TransportsChosen", "TwoAutopilots", "VehicleParameters",
+    "VehicleText", "VehicleTime", "VelocitySetpoint",
 ]  # fmt: skip
 
 AnyEvent = (
@@ -90,7 +91,7 @@ AnyEvent = (
     | AirPressure | ClockRead | LandedState | EstimatorState | RcChannels | ModeRefused | MissionDownloaded
     | MissionRefused | MissionCurrent | FenceDownloaded | FenceRefused | VehicleParameters | AdsbVehicle
     | VehicleText | InputBehind | GateRefused | GateAuthority | RemoteIdHeard | RadioState | OperatorData
-    | RemoteIdModule | Settings
+    | RemoteIdModule | Settings | Attitude | ObstacleScan | ObstaclePoint | SensedAircraft
 )  # fmt: skip
 
 AnyCommand = (

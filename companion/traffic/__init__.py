@@ -6,9 +6,10 @@ doubts raise flags for the log and the pilot, but a doubtful aircraft is still a
 the table of `track.Track`s from Remote ID, `fix.Fix` is one converted Location, `doubts.Judge` raises the
 `plausibility.Flag`s, and `adsb.AdsbTraffic` is the table for ADS-B. `own_flight` recognises our own messages,
 `signatures` verifies what senders sign, `right_of_way` ranks aircraft, and `reception` measures rates and
-losses for `companion.atmc`. This room may import the rooms before it in `ROOMS` (tests/test_imports.py), up
-to `broadcast`; it uses `arrays`, `geometry`, `remote_id`, `events`, `config` and `avoidance`. Start with
-`tracks.py`, then `track.py` and `fix.py`.
+losses for `companion.atmc`. `sensed` holds what sensors aboard see of those who send nothing. This room may
+import the rooms before it in `ROOMS` (tests/test_imports.py), up to `broadcast`; it uses `arrays`,
+`geometry`, `remote_id`, `events`, `config` and `avoidance`. Start with `tracks.py`, then `track.py` and
+`fix.py`.
 """
 
 from companion.traffic.adsb import AdsbTraffic

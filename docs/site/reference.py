@@ -9,7 +9,7 @@ import ast
 import importlib
 import inspect
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Any, Final
@@ -18,8 +18,9 @@ from msgspec import NODEFAULT
 from msgspec import inspect as types
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.polled.streams import FIRMWARE_OF, STREAM_RATES_HZ
+from companion.autopilot.polled.streams import FIRMWARE_OF, SENSED_RATES_HZ, STREAM_RATES_HZ
 from companion.autopilot.readers import READERS
+from companion.autopilot.sensors import SENSOR_READERS, attitude
 from companion.autopilot.wire import COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA, CURRENT_MODE
 from companion.config.sections import Config, TrajectoryFile
 from companion.gate import gate
@@ -210,6 +211,10 @@ def messages() -> str:
         f"| {_message(number)} | {_rate(number)} | {_first_sentence(reader)} |"
         for number, reader in READERS.items()
     ]
+    sensed = [
+        f"| {_message(number)} | {_rate(number, SENSED_RATES_HZ)} | {_first_sentence(reader)} |"
+        for number, reader in [(mavlink.MAVLINK_MSG_ID_ATTITUDE, attitude), *SENSOR_READERS.items()]
+    ]
     free = sorted(_message(number) for number in gate._FREE)
     texts = "\n".join(f"| {_code(text)} | `{where}` |" for text, where in pilot_texts())
     return "\n\n".join(
@@ -220,6 +225,8 @@ def messages() -> str:
             "Beside HEARTBEAT, STATUSTEXT, TIMESYNC, RADIO_STATUS and the answers of the mission, parameter "
             "and command protocols. The rate is the one that is asked for.",
             "\n".join(("| message | rate | what is read |", "|---|---|---|", *read)),
+            "With `sensed.use`, besides, from the vehicle and its sensors ([sensed.md](../sensed.md)):",
+            "\n".join(("| message | rate | what is read |", "|---|---|---|", *sensed)),
             "## Sent to the vehicle",
             "Always allowed, because they command nothing: " + ", ".join(free) + ".",
             "Only while the companion has authority, and only within the gate's bounds: "
@@ -237,9 +244,9 @@ def _message(number: int) -> str:
     return f"{known.msgname if known else _NEW[number]} ({number})"
 
 
-def _rate(number: int) -> str:
+def _rate(number: int, rates: Mapping[int, float] = STREAM_RATES_HZ) -> str:
     only = f", {FIRMWARE_OF[number].value} only" if number in FIRMWARE_OF else ""
-    return f"{STREAM_RATES_HZ[number]:g}/s{only}" if number in STREAM_RATES_HZ else "not asked for"
+    return f"{rates[number]:g}/s{only}" if number in rates else "not asked for"
 
 
 def pilot_texts() -> list[tuple[str, str]]:

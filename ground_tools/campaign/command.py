@@ -26,6 +26,7 @@ from ground_tools.campaign.peers.omniscient import NAME as OMNISCIENT
 from ground_tools.campaign.runs import add_common, fly_missing, summary, work_of
 from ground_tools.campaign.scenarios import command as scenarios
 from ground_tools.campaign.scenarios.layouts import SCENARIOS
+from ground_tools.campaign.sensed import command as sensed
 from ground_tools.common.progress import progress
 from ground_tools.common.run_options import processes_of, seeds_of
 from ground_tools.common.workers import in_parallel
@@ -100,6 +101,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     encounters.add_arguments(command)
+    command = commands.add_parser(
+        "sensed",
+        help="fly towards poles, walls and aircraft that transmit nothing, with a sensor aboard",
+        description="Fly the companion's own core, with a simulated sensor, towards what transmits nothing.",
+        epilog="example: ground-tools campaign sensed --kind unheard --range 20 40 80 --seeds 1-100",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    sensed.add_arguments(command)
 
 
 def _add_run(command: argparse.ArgumentParser) -> None:

@@ -36,6 +36,7 @@ from sitl_mocks.encounters.demo_report import Outcome, Verdict, pair_rows, seed_
 from sitl_mocks.encounters.lockstep import TICK_S, UTC_AT_START_S, Run, fly, paths_of
 from sitl_mocks.encounters.scenario_file import RANDOM, Scenario
 from sitl_mocks.encounters.verdict import deviations_of, on_path_limit_m, pairs_of
+from sitl_mocks.vehicle.sensing import SensorOptions
 
 _TRUTH_TICKS = 2
 _EXAMPLE = "example: sitl-mocks demo --delay 1 2 --seed 7; sitl-mocks demo --seeds 1-20 --delay 2 3 --json"
@@ -75,6 +76,13 @@ def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
         "--law",
         metavar="NAME",
         help=f"avoidance law: {', '.join(LAWS)}, or that of a plug-in (default: the one in the scenario)",
+    )
+    parser.add_argument(
+        "--sensor",
+        type=float,
+        metavar="RANGE",
+        help="put a sensor aboard every aircraft that sees the scenario's obstacles and the other aircraft "
+        "within this range (m); 0: none",
     )
     choosing.add_arguments(parser)
 
@@ -148,7 +156,17 @@ def scenario_of(arguments: argparse.Namespace) -> Scenario:
             plugin_of(arguments.law)
         except ConfigError as error:
             raise ConfigError(f"--law: {error}") from error
+    if arguments.sensor is not None:
+        scenario = _with_sensor(scenario, arguments.sensor)
     return choosing.with_options(scenario, arguments)
+
+
+def _with_sensor(scenario: Scenario, range_m: float) -> Scenario:
+    if range_m != 0.0 and not 1.0 <= range_m <= 600.0:
+        raise ConfigError(f"--sensor: {range_m:g} is out of range; allowed: 0, or 1 to 600")
+    sensor = scenario.sensor or SensorOptions()
+    new = None if range_m == 0.0 else msgspec.structs.replace(sensor, range_m=range_m)
+    return msgspec.structs.replace(scenario, sensor=new)
 
 
 def _parse_seeds(text: str) -> list[int]:

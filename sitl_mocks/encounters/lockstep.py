@@ -25,6 +25,7 @@ from companion.config import (
     IdentityConfig,
     LimitsConfig,
     RemoteIdConfig,
+    SensedConfig,
     TrajectoryFile,
     VehicleConfig,
     Waypoint,
@@ -42,6 +43,7 @@ from sitl_mocks.encounters.scenario_file import RANDOM, Scenario
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle
 from sitl_mocks.vehicle.options import HOME, VehicleOptions
+from sitl_mocks.vehicle.sensing import Obstacle
 
 TICK_S = 0.05
 UTC_AT_START_S = 1_767_225_590.0
@@ -77,6 +79,8 @@ class Run:
     """Transports that each aircraft used, by name."""
     faults: dict[str, str] = field(default_factory=dict)
     """Why the law of an aircraft failed, by its name, for those whose law did."""
+    obstacles: dict[tuple[str, str], tuple[float, float]] = field(default_factory=dict)
+    """Least distance (m) of each aircraft from each obstacle at a tick, and its path time, by their names."""
 
 
 class Aircraft:
@@ -160,7 +164,19 @@ def vehicle_options(scenario: Scenario, number: int, path: Floats) -> VehicleOpt
         gnss_vertical_sigma_m=v.gnss_vertical_sigma_m,
         gnss_velocity_sigma_mps=v.gnss_velocity_sigma_mps,
         gnss_correlation_s=v.gnss_correlation_s,
+        sensor=scenario.sensor,
+        obstacles=tuple(from_settling(obstacle) for obstacle in scenario.obstacle),
     )
+
+
+def from_settling(obstacle: Obstacle) -> Obstacle:
+    """An obstacle of a scenario on the vehicles' clock, which begins before the paths' clock."""
+    return msgspec.structs.replace(obstacle, at_ned_m=obstacle.place(-SETTLE_S))
+
+
+def obstacle_names(scenario: Scenario) -> list[str]:
+    """Names of the obstacles of a scenario."""
+    return [f"{obstacle.kind} {number}" for number, obstacle in enumerate(scenario.obstacle, 1)]
 
 
 def _parameters(firmware: Firmware, limits: LimitsConfig) -> dict[str, float]:
@@ -202,6 +218,7 @@ def companion_config(scenario: Scenario, name: str, path: Floats, law: str | Non
         ),
         limits=scenario.limits,
         avoidance=avoidance,
+        sensed=SensedConfig(use=scenario.sensor is not None),
         remote_id=RemoteIdConfig(
             transports=scenario.air.transports,
             rate=scenario.air.rate,
@@ -251,6 +268,7 @@ def fly(
     ticks = math.ceil((end_s + SETTLE_S) / TICK_S) + 1
     truth = np.empty((len(fleet), ticks, 3))
     by_name = {aircraft.name: aircraft for aircraft in fleet}
+    near = {(a.name, name): (math.inf, 0.0) for a in fleet for name in obstacle_names(scenario)}
     read = lru_cache(_DECODED)(FrameReceiver().receive)
     for tick in range(ticks):
         now_s = tick * TICK_S
@@ -259,6 +277,7 @@ def fly(
             watch(ether)
         for number, aircraft in enumerate(fleet):
             truth[number, tick] = aircraft.vehicle.position_ned_m
+            _measure(aircraft, scenario, now_s - SETTLE_S, near)
         if progress is not None and tick % 20 == 0:
             progress(tick / ticks)
     ether.finish((ticks - 1) * TICK_S)
@@ -267,7 +286,17 @@ def fly(
     flown = [Flown(a.name, truth[number]) for number, a in enumerate(fleet)]
     time_s = np.arange(ticks, dtype=np.float64) * TICK_S - SETTLE_S
     faults = {a.name: a.law_fault for a in fleet if a.law_fault is not None}
-    return Run(flown, ether.stats, time_s, {a.name: a.chosen for a in fleet}, faults)
+    return Run(flown, ether.stats, time_s, {a.name: a.chosen for a in fleet}, faults, near)
+
+
+def _measure(
+    aircraft: Aircraft, scenario: Scenario, path_s: float, near: dict[tuple[str, str], tuple[float, float]]
+) -> None:
+    """Note how near an aircraft is to each obstacle."""
+    for name, obstacle in zip(obstacle_names(scenario), scenario.obstacle, strict=True):
+        away_m = obstacle.distance_m(aircraft.vehicle.position_ned_m, path_s)
+        if away_m < near[aircraft.name, name][0]:
+            near[aircraft.name, name] = away_m, path_s
 
 
 def _aircraft(
@@ -304,6 +333,10 @@ def _tick(
     read: Callable[[str, str, bytes], RemoteIdHeard | None],
 ) -> None:
     for aircraft in fleet:
+        sensor = aircraft.vehicle.sensor
+        if sensor is not None:
+            others = (other.vehicle for other in fleet if other is not aircraft)
+            sensor.others = [(other.position_ned_m, other.velocity_ned_mps) for other in others]
         aircraft.vehicle.advance(now_s)
         data = aircraft.vehicle.drain()
         if data:

@@ -21,6 +21,7 @@ from companion.shipped import named
 from companion.toml_reader import decode_toml
 from sitl_mocks.air.air_settings import DEFAULT_DELAY_S, AirSettings, check_allowed, load_parameters
 from sitl_mocks.channel.parameters import ChannelParameters
+from sitl_mocks.vehicle.sensing import Obstacle, SensorOptions
 
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
 NotNegative = Annotated[float, Meta(ge=0, le=1e6)]
@@ -68,6 +69,10 @@ class Scenario(_Section, frozen=True):
     """Content of the file that `air.region` names."""
     atmc: AtmcConfig = AtmcConfig()
     """Choice of transports for all aircraft, as in a companion's file. `policy` may also be "random"."""
+    sensor: SensorOptions | None = None
+    """A sensor aboard every aircraft, which sees obstacles and the other aircraft; None: there is none."""
+    obstacle: tuple[Obstacle, ...] = ()
+    """What sends nothing. Its times are those of the paths."""
     limits: LimitsConfig = LimitsConfig()
     avoidance: AvoidanceConfig = AvoidanceConfig()
 

@@ -18,7 +18,7 @@ NOISE_SIGMAS = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Closest approach of one pair of aircraft."""
+    """Closest approach of one pair of aircraft, or of an aircraft and an obstacle."""
 
     first: str
     second: str
@@ -39,12 +39,13 @@ class Deviation:
 
 
 def pairs_of(run: Run) -> list[Pair]:
-    """Least separation of every pair, also between ticks (positions move straight between ticks)."""
+    """Least separation of every pair of aircraft, also between ticks (positions move straight between ticks);
+    then that of every aircraft from every obstacle."""
     found = []
     for a, b in combinations(run.aircraft, 2):
         least, tick = _least(a.position_ned_m - b.position_ned_m)
         found.append(Pair(a.name, b.name, least, float(run.time_s[tick])))
-    return found
+    return found + [Pair(name, what, least, at_s) for (name, what), (least, at_s) in run.obstacles.items()]
 
 
 def _least(relative: Floats) -> tuple[float, int]:

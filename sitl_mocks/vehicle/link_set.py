@@ -39,6 +39,12 @@ class LinkSet(dict[int, Link]):
         for link in self.values():
             link.send(message)
 
+    def pass_on(self, frame: bytes) -> None:
+        """Send a frame of another component of this vehicle on every link."""
+        signed = frame if self._signing is None else self._signing.sign(frame, 0)
+        for link in self.values():
+            link.pass_on(signed)
+
     def forward(self, frame: Frame, message: MavlinkMessage | SetpointMessage, number: int) -> None:
         """Forward a frame: without a target to all other links, else to links where its target was heard."""
         self._routes[frame.system_id, frame.component_id] = number

@@ -21,7 +21,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.signing import Signing, timestamp_at
 from companion.autopilot.wire import MavlinkMessage
-from companion.errors import ConfigError
 from companion.events import Landed
 from companion.geometry import LocalFrame, Vec3
 from sitl_mocks.vehicle.announcements import Announcer
@@ -34,14 +33,8 @@ from sitl_mocks.vehicle.motion.flight import Flight
 from sitl_mocks.vehicle.motion.navigation import NOISE_STEPS, NavigationError
 from sitl_mocks.vehicle.motion.setpoints import interpret
 from sitl_mocks.vehicle.options import VehicleOptions
-from sitl_mocks.vehicle.served.mission import (
-    MissionBook,
-    StoredItem,
-    fault_of,
-    home_item,
-    stored,
-    stored_fence,
-)
+from sitl_mocks.vehicle.sensing import Sensor
+from sitl_mocks.vehicle.served.mission import MissionBook, checked_items, home_item, stored_fence
 from sitl_mocks.vehicle.served.mission_desk import MissionDesk
 from sitl_mocks.vehicle.served.params import ParamBook
 from sitl_mocks.vehicle.served.remote_id import ODID_MESSAGES, RemoteIdRelay
@@ -98,7 +91,7 @@ class MockVehicle:
             legacy_names=options.legacy_parameter_names,
         )
         home = LocalFrame(options.home_lat_deg, options.home_lon_deg, options.home_alt_msl_m)
-        self._book = MissionBook(self._manners, home_item(home), _items(options))
+        self._book = MissionBook(self._manners, home_item(home), checked_items(options.mission))
         fence = MissionBook(self._manners, None, stored_fence(options.fence, self._manners))
         self._missions = MissionDesk(self._manners, (self._book, fence))
         self.troubles = Troubles(self._manners, self._params, fence, home, rc_connected=options.rc_connected)
@@ -109,6 +102,11 @@ class MockVehicle:
             options.geoid_separation_m,
             listed=self._manners.adsb_listed,
         )
+        self.sensor: Sensor | None = None
+        """Sees obstacles. Its random errors do not change those of the navigation."""
+        if options.sensor is not None:
+            luck = rng.spawn(1)[0]
+            self.sensor = Sensor(options.sensor, options.obstacles, home, luck, options.system_id)
         self._boot(options, start_s, boot_s=-options.boot_time_offset_s)
         self.open_link(0)
 
@@ -327,6 +325,12 @@ class MockVehicle:
         if self._remote_id is not None:
             for message in self._remote_id.due(at_s):
                 self._links.send(message)
+        if self.sensor is not None:
+            told = self._telemetry
+            for seen in self.sensor.due(
+                at_s, self.position_ned_m, told.position_ned_m(), told.attitude_rad()
+            ):
+                self._links.pass_on(seen)
         for asked, request in self._missions.tick(at_s):
             if asked in self._links:
                 self._links[asked].send(request)
@@ -440,11 +444,3 @@ class MockVehicle:
             on = message.start_stop and message.req_message_rate
             interval_s = 1.0 / message.req_message_rate if on else None
             endpoint.set_data_stream(message.req_stream_id, interval_s, now_s)
-
-
-def _items(options: VehicleOptions) -> tuple[StoredItem, ...]:
-    items = tuple(stored(item) for item in options.mission)
-    for seq, item in enumerate(items):
-        if (fault := fault_of(item)) is not None:
-            raise ConfigError(f"mission item {seq} cannot be flown (MAV_MISSION_RESULT {fault})")
-    return items

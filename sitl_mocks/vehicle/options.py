@@ -13,6 +13,7 @@ from companion.geofence import check_areas
 from companion.geometry import LocalFrame, Vec3
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, Manners, VehicleMode, with_quirks
 from sitl_mocks.vehicle.motion.dynamics import Response
+from sitl_mocks.vehicle.sensing import Obstacle, SensorOptions
 from sitl_mocks.vehicle.traffic import CrewedFlight
 
 HOME: Final = LocalFrame(47.397, 8.545, 400.0)
@@ -59,6 +60,12 @@ class VehicleOptions:
     """Fence stored from the start. ArduPilot obeys it if FENCE_ENABLE is set, PX4 according to GF_ACTION."""
     traffic: tuple[CrewedFlight, ...] = ()
     """Crewed aircraft that the vehicle's ADS-B receiver hears."""
+
+    sensor: SensorOptions | None = None
+    """A sensor aboard that sees obstacles and other aircraft; None: there is none."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """What stands and flies around, sends nothing, and may be seen. Nothing stops a vehicle that flies into
+    it."""
 
     boot_time_offset_s: float = 120.0
     """Reading of the vehicle's own clock at now_s = 0."""

@@ -257,14 +257,17 @@ class Telemetry:
         pressure_hpa = 1013.25 * (1.0 - altitude / 44_330.77) ** (1.0 / 0.190263)
         return mavlink.MAVLink_scaled_pressure_message(self._boot_ms(now_s), pressure_hpa, 0.0, 1500)
 
-    def _attitude(self, now_s: float) -> Payload:
-        """Roll and pitch of a multicopter with this acceleration. Angular rates are not modelled."""
+    def attitude_rad(self) -> Vec3:
+        """Roll, pitch and yaw of a multicopter with this acceleration."""
         body = self._flight.body
         north, east = body.lean_mps2
         cos, sin = math.cos(body.yaw), math.sin(body.yaw)
         forward, right = cos * north + sin * east, cos * east - sin * north
-        roll, pitch = math.atan2(right, _GRAVITY), -math.atan2(forward, _GRAVITY)
-        packed = _SIX_FLOATS.pack(self._boot_ms(now_s), roll, pitch, body.yaw, 0.0, 0.0, 0.0)
+        return math.atan2(right, _GRAVITY), -math.atan2(forward, _GRAVITY), body.yaw
+
+    def _attitude(self, now_s: float) -> Payload:
+        """ATTITUDE. Angular rates are not modelled."""
+        packed = _SIX_FLOATS.pack(self._boot_ms(now_s), *self.attitude_rad(), 0.0, 0.0, 0.0)
         return Payload(mavlink.MAVLINK_MSG_ID_ATTITUDE, packed)
 
     def _vfr_hud(self, now_s: float) -> MavlinkMessage:

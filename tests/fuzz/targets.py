@@ -62,7 +62,7 @@ from companion.remote_id.drip.hashes import message_hash
 from companion.remote_id.drip.link import decode_link, endorse
 from companion.remote_id.mavlink import READABLE, decode_odid, encode_message_pack, encode_odid
 from companion.traffic.tracks import Traffic
-from tests.fuzz import log_targets, radio_targets
+from tests.fuzz import log_targets, radio_targets, sensor_targets
 from tests.fuzz.seeds import (
     ADDRESS,
     MESSAGES,
@@ -427,6 +427,7 @@ def makers() -> dict[str, Callable[[], Target]]:
         _drip_hearing,
         _link,
         _signed_link,
+        sensor_targets.sensed,
     ):
         made[make().name] = make
     for group in (log_targets.make_targets, radio_targets.make_targets):

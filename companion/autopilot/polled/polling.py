@@ -18,9 +18,17 @@ from companion.events import Event, VehicleParameters
 class Polling:
     """Polls the vehicle from its first heartbeat on."""
 
-    def __init__(self, heard: HeardVehicle, outbox: Outbox, events: list[Event], counts: LinkCounts) -> None:
-        """`events` receives readings of the vehicle's clock."""
-        self.streams = Streams()
+    def __init__(
+        self,
+        heard: HeardVehicle,
+        outbox: Outbox,
+        events: list[Event],
+        counts: LinkCounts,
+        *,
+        sensed: bool = False,
+    ) -> None:
+        """`events` receives readings of the vehicle's clock. `sensed`: as for `Streams`."""
+        self.streams = Streams(sensed=sensed)
         self._heard = heard
         self._outbox = outbox
         self._events = events

@@ -38,9 +38,16 @@ STREAM_RATES_HZ: dict[int, float] = {
 }
 """Requested rates. HEARTBEAT and STATUSTEXT come without a request."""
 
+SENSED_RATES_HZ: dict[int, float] = {
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 20.0,
+    mavlink.MAVLINK_MSG_ID_OBSTACLE_DISTANCE: 10.0,
+}
+"""Rates that are requested besides if a sensor of obstacles is read (`companion.autopilot.sensors`)."""
+
 FIRMWARE_OF = {
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: Firmware.ARDUPILOT,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: Firmware.PX4,
+    mavlink.MAVLINK_MSG_ID_OBSTACLE_DISTANCE: Firmware.PX4,
     CURRENT_MODE: Firmware.PX4,
 }
 """Messages that only one firmware sends. The other one answers each request for them with a text."""
@@ -48,7 +55,7 @@ FIRMWARE_OF = {
 COMES_HZ = {CURRENT_MODE: 2.0}
 """Rate at which a message comes while nothing changes, if that is not the requested rate."""
 
-SPORADIC = frozenset({mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE})
+SPORADIC = frozenset({mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE, mavlink.MAVLINK_MSG_ID_OBSTACLE_DISTANCE})
 """Messages that come only when there is something to report. Their rate is an upper bound."""
 SPORADIC_REQUESTS = 3
 
@@ -71,12 +78,17 @@ class _Stream:
 
 
 class Streams:
-    """Counts arriving messages and decides what to request."""
+    """Counts arriving messages and decides what to request.
 
-    def __init__(self) -> None:
+    Args:
+        sensed: whether to request what the measurements of sensors aboard need, too.
+    """
+
+    def __init__(self, *, sensed: bool = False) -> None:
+        rates = STREAM_RATES_HZ | SENSED_RATES_HZ if sensed else STREAM_RATES_HZ
         self._streams = {
             message_id: _Stream(rate, COMES_HZ.get(message_id, rate), message_id in SPORADIC)
-            for message_id, rate in STREAM_RATES_HZ.items()
+            for message_id, rate in rates.items()
         }
         self._firmware: Firmware | None = None
 
@@ -88,8 +100,10 @@ class Streams:
             stream.wait_s, stream.requests = FIRST_CHECK_S, 0
 
     def received(self, message_id: int) -> None:
-        """Count one message."""
-        self._streams[message_id].received += 1
+        """Count one message of those that are requested; others are ignored."""
+        stream = self._streams.get(message_id)
+        if stream is not None:
+            stream.received += 1
 
     def due(self, now_s: float) -> list[tuple[int, int]]:
         """Message ids to request now, each with its interval (microseconds)."""

@@ -13,6 +13,7 @@ from companion.avoidance.alerts import Level
 from companion.avoidance.law import ASIDE, Neighbour
 from companion.core import Companion
 from companion.events import Decision
+from companion.events.sensed import is_sensed
 from companion.geometry import Vec3
 from companion.runtime.status.status_socket import MOST_TRACKS, TrackStatus
 
@@ -67,6 +68,10 @@ def _tracks(core: Companion, now_s: float, decision: Decision | None) -> list[Tr
         for track_id, track in core.traffic.tracks.items()
     }
     others = core.traffic.neighbours(now_s) + core.adsb.look(now_s, own[2])
+    if core.sensed is not None:
+        fused = core.sensed.fused
+        others = [other for other in others if (other.adsb, other.track_id) not in fused]
+        others += core.sensed.look(now_s, core.own)
     return [_track(other, own, levels, conflicts, names) for other in others]
 
 
@@ -77,9 +82,13 @@ def _track(
     conflicts: set[tuple[bool, str]],
     names: Mapping[str, tuple[str, tuple[str, ...]]],
 ) -> TrackStatus:
+    doubts: tuple[str, ...]
     key = (other.adsb, other.track_id)
     p, v, age = other.position_ned_m, other.velocity_ned_mps, other.age_s
-    transport, doubts = ("adsb", ()) if other.adsb else names[other.track_id.partition(ASIDE)[0]]
+    if is_sensed(other.track_id):
+        transport, doubts = "sensed", ()
+    else:
+        transport, doubts = ("adsb", ()) if other.adsb else names[other.track_id.partition(ASIDE)[0]]
     north, east = p[0] + age * v[0] - own[0], p[1] + age * v[1] - own[1]
     hovers = math.hypot(v[0], v[1]) < _HOVERS_MPS
     return TrackStatus(

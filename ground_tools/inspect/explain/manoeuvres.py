@@ -27,6 +27,7 @@ from companion.events import (
     TrackView,
     VehicleParameters,
 )
+from companion.events.sensed import is_sensed, thing_of
 from companion.geometry import Vec3
 from companion.ownship import Ownship
 from ground_tools.inspect.explain.why import Alternative, Explainer, HalfSpace, Look
@@ -122,7 +123,7 @@ class _Open:
 
     def add_decision(self, now_s: float, decision: Decision) -> None:
         self.end_s, self.regained_s = now_s, None
-        self.tracks |= dict.fromkeys(t.track_id for t in decision.tracks if t.conflict or t.active)
+        self.tracks |= dict.fromkeys(thing_of(t.track_id) for t in decision.tracks if t.conflict or t.active)
         self.limits |= dict.fromkeys(name for name in decision.limits if name != "speed")
         self.feasible = self.feasible and decision.feasible
         if _left(decision) > _left(self.strongest):
@@ -130,7 +131,7 @@ class _Open:
         for track in decision.tracks:
             distance = math.dist(track.position_ned_m, decision.position_ned_m)
             if self.nearest is None or distance < self.nearest[0]:
-                self.nearest = distance, now_s, track.track_id
+                self.nearest = distance, now_s, thing_of(track.track_id)
 
     def follow(self, now_s: float, decision: Decision, regained_m: float) -> None:
         """Update the distance from the path until the path is regained."""
@@ -364,8 +365,9 @@ def _came(one: _Open) -> str:
     if one.nearest is not None:
         distance, when_s, track = one.nearest
         after_s = when_s - one.start_s
+        what = "thing seen by the own sensor" if is_sensed(track) else "aircraft"
         parts.append(
-            f"The nearest aircraft was {track}, at {distance:.1f} m as predicted then, "
+            f"The nearest {what} was {track}, at {distance:.1f} m as predicted then, "
             f"{after_s:.1f} s after the start."
         )
     if one.deviation_m is not None:

@@ -50,6 +50,7 @@ from companion.events import (
     VehicleText,
     VehicleTime,
 )
+from companion.events.sensed import thing_of
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, Location
 from companion.traffic.fix import make_fix
@@ -294,7 +295,7 @@ class Gatherer:
         conflict = False
         for track in one.tracks:
             conflict |= track.conflict
-            found = self.tracks.setdefault(track.track_id, _Track(track.adsb))
+            found = self.tracks.setdefault(thing_of(track.track_id), _Track(track.adsb))
             distance = math.dist(track.position_ned_m, one.position_ned_m)
             if now_s - found.second >= 1.0:
                 found.second = math.floor(now_s)

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
+from companion.events.sensed import is_sensed
 from ground_tools.inspect.read.timeline import utc_words
 
 _NAMED: Final = 3
@@ -23,12 +24,13 @@ def head(figures: dict[str, Any]) -> str:
 
 
 def verdicts(figures: dict[str, Any]) -> list[str]:
-    """Return the most important results, one line each: separation, the nearest other aircraft, Remote ID,
-    manoeuvres, faults."""
+    """Return the most important results, one line each: separation, the nearest other aircraft, the nearest
+    thing that a sensor aboard saw, Remote ID, manoeuvres, faults."""
     aircraft = figures["aircraft"]
     return [
         *_on_separation(figures),
         _on_traffic(figures),
+        *_on_sensed(figures),
         *_on_remote_id(aircraft),
         _on_manoeuvres(aircraft),
         _on_faults(aircraft),
@@ -60,7 +62,9 @@ def _on_traffic(figures: dict[str, Any]) -> str:
     aircraft = figures["aircraft"]
     others = [(one["name"], row) for one in aircraft for row in one["traffic"] if not row["of_the_run"]]
     count = len({row["identity"] for _, row in others})
-    predicted = [row for row in figures["conflicts"] if row["by"] != "positions"]
+    predicted = [
+        row for row in figures["conflicts"] if row["by"] != "positions" and not is_sensed(row["pair"][1])
+    ]
     near = [(row["nearest"]["slant_m"], name, row) for name, row in others if row["nearest"] is not None]
     least = min(near, key=lambda one: one[0], default=None)
     if predicted and (least is None or predicted[0]["minimum_m"] < least[0]):
@@ -73,6 +77,17 @@ def _on_traffic(figures: dict[str, Any]) -> str:
     if count:
         return f"Other aircraft: {count} heard; how near they came is not known"
     return f"Other aircraft: none was heard{'' if len(aircraft) < 2 else ' beside those of the run'}"
+
+
+def _on_sensed(figures: dict[str, Any]) -> list[str]:
+    """The nearest thing that a sensor aboard saw and that was in conflict; nothing if there was none."""
+    seen = [row for row in figures["conflicts"] if is_sensed(row["pair"][1])]
+    if not seen:
+        return []
+    row, count = seen[0], len(seen)
+    words = f"{row['pair'][1]}, {row['minimum_m']:.2f} m from {row['pair'][0]} at {row['time_s']:.1f} s"
+    more = f"; {count} obstacles or aircraft in conflict in all" if count > 1 else ""
+    return [f"Nearest thing that a sensor aboard saw: {words} ({row['by']}){more}"]
 
 
 def _in_all(count: int) -> str:

@@ -16,6 +16,7 @@ from companion.authority.table import State
 from companion.avoidance.alerts import Level
 from companion.errors import ConfigError
 from companion.events import AlertChanged, AuthorityChanged
+from companion.events.sensed import is_sensed, thing_of
 from companion.runtime.record.disk import RUN
 from ground_tools.inspect.explain import air, manoeuvres, traffic
 from ground_tools.inspect.explain.manoeuvres import Manoeuvre
@@ -254,7 +255,7 @@ def _heard_near(
 def _warned_of(record: AircraftRecord) -> set[str]:
     """Return the tracks for which there was a caution or warning."""
     return {
-        what.track_id
+        thing_of(what.track_id)
         for _, what in record.facts.rare
         if isinstance(what, AlertChanged) and what.level >= Level.CAUTION
     }
@@ -270,7 +271,8 @@ def _closest_of(record: AircraftRecord, track: str) -> tuple[float, float, str] 
     facts = record.facts.tracks.get(track)
     if facts is not None:
         row = int(facts.distance_m.argmin())
-        by = "ADS-B, as predicted aboard" if facts.adsb else "Remote ID, as predicted aboard"
+        by = "ADS-B" if facts.adsb else "own sensor" if is_sensed(track) else "Remote ID"
+        by = f"{by}, as predicted aboard"
         found.append((float(facts.distance_m[row]), float(facts.now_s[row]), by))
     decided_s = record.facts.decisions.now_s
     for heard in record.facts.heard.values():

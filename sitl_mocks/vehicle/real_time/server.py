@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
 import numpy
 
 from companion.errors import ConfigError
@@ -26,6 +27,7 @@ from sitl_mocks.vehicle.mock_vehicle import STEP_S, MockVehicle
 from sitl_mocks.vehicle.options import HOME, VehicleOptions
 from sitl_mocks.vehicle.real_time.ports import Airframe, Port, open_port
 from sitl_mocks.vehicle.real_time.trouble_input import TroubleInput
+from sitl_mocks.vehicle.sensing import Obstacle, SensorOptions
 
 _TRUTH_PERIOD_S = 0.1
 _EXAMPLE = """examples:
@@ -157,6 +159,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--quirk", action="append", default=[], metavar="NAME=VALUE", help="change one behaviour of the "
         "firmware, for example nose_follows_velocity=false or loss_mode=hold; may be repeated")  # fmt: skip
+    add("--sensor", choices=["scan", "points", "tracks"], help="a sensor aboard that sees obstacles, and the "
+        "message it sends: OBSTACLE_DISTANCE, OBSTACLE_DISTANCE_3D or ADSB_VEHICLE")  # fmt: skip
+    add("--sensor-range", type=float, default=SensorOptions().range_m, metavar="M",
+        help="how far the sensor sees (default: %(default)g)")  # fmt: skip
+    add("--obstacle", action="append", default=[], metavar="KIND:N,E,...",
+        help="something that sends nothing: pole:N,E, wall:N,E,N,E or aircraft:N,E,D,VN,VE,VD (m and m/s, "
+        "from home, at the start); may be repeated")  # fmt: skip
     add("--seed", type=int, default=0, help="random seed of the navigation errors (default: %(default)s)")
     add("--troubles", action="store_true", help="read faults from standard input, one JSON object per line, "
         'for example {"answers": "disobeyed"} or {"gnss_lost": true}')  # fmt: skip
@@ -191,7 +200,34 @@ def options_of(args: argparse.Namespace) -> VehicleOptions:
         gnss_horizontal_sigma_m=horizontal,
         gnss_vertical_sigma_m=vertical,
         gnss_velocity_sigma_mps=speed,
+        sensor=_sensor(args),
+        obstacles=tuple(_obstacle(text) for text in args.obstacle),
     )
+
+
+def _sensor(args: argparse.Namespace) -> SensorOptions | None:
+    if args.sensor is None:
+        return None
+    try:
+        return msgspec.convert({"message": args.sensor, "range_m": args.sensor_range}, SensorOptions)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"--sensor-range: {error}") from error
+
+
+def _obstacle(text: str) -> Obstacle:
+    kind, _, rest = text.partition(":")
+    try:
+        numbers = [float(part) for part in rest.split(",")]
+        match kind, numbers:
+            case "pole", [n, e]:
+                return Obstacle(kind="pole", at_ned_m=(n, e, 0.0))
+            case "wall", [n, e, to_n, to_e]:
+                return Obstacle(kind="wall", at_ned_m=(n, e, 0.0), to_ned_m=(to_n, to_e, 0.0))
+            case "aircraft", [n, e, d, vn, ve, vd]:
+                return Obstacle(kind="aircraft", at_ned_m=(n, e, d), velocity_ned_mps=(vn, ve, vd))
+    except ValueError as error:
+        raise ConfigError(f"--obstacle: {text!r}: {error}") from error
+    raise ConfigError(f"--obstacle: {text!r}; allowed: pole:N,E, wall:N,E,N,E or aircraft:N,E,D,VN,VE,VD")
 
 
 def _parameters(given: list[str]) -> dict[str, float]:

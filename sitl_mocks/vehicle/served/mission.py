@@ -9,12 +9,14 @@ refuses to send it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.lists.list_download import GLOBAL_FRAMES
 from companion.autopilot.wire import MavlinkMessage
+from companion.errors import ConfigError
 from companion.events import FenceArea, MissionItem
 from companion.geometry import LocalFrame
 from sitl_mocks.vehicle.firmware.behaviour import Manners
@@ -357,3 +359,16 @@ def fault_of(item: StoredItem) -> int | None:
         if abs(item.y) > 1_800_000_000:
             return int(mavlink.MAV_MISSION_INVALID_PARAM6_Y)
     return None
+
+
+def checked_items(mission: Sequence[MissionItem]) -> tuple[StoredItem, ...]:
+    """The items of a mission as they are stored.
+
+    Raises:
+        ConfigError: one of them cannot be flown.
+    """
+    items = tuple(stored(item) for item in mission)
+    for seq, item in enumerate(items):
+        if (fault := fault_of(item)) is not None:
+            raise ConfigError(f"mission item {seq} cannot be flown (MAV_MISSION_RESULT {fault})")
+    return items

@@ -22,6 +22,7 @@ from companion.events import (
     VehicleText,
     VehicleTime,
 )
+from companion.events.sensed import SENSED, SENSED_WALL
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.remote_id.region import Region
@@ -100,6 +101,34 @@ def test_an_aircraft_that_was_only_heard_is_a_conflict_by_prediction(tmp_path: P
     assert (
         "Nearest other aircraft: INTRUDER, 20.02 m from ONE at 4.0 s (Remote ID, as predicted aboard)"
         in told(tmp_path)
+    )
+
+
+def test_what_a_sensor_saw_is_named_so_and_the_places_of_a_wall_are_one(tmp_path: Path) -> None:
+    wall, pole = f"{SENSED_WALL}4/1", f"{SENSED}7"
+
+    def one(t):
+        places = [
+            track(wall, position_ned_m=(20.0 + abs(t - 4.0), 0.0, -51.0)),
+            track(f"{SENSED_WALL}4/2", position_ned_m=(30.0 + abs(t - 4.0), 0.0, -51.0)),
+            track(pole, position_ned_m=(40.0, 10.0, -50.0)),
+        ]
+        return decision(*places, chosen=(4, 3, 0))
+
+    write(
+        tmp_path,
+        Config(identity=IdentityConfig(uas_id="ONE"), flight=FLYING),
+        [step(k / 5, one(k / 5)) for k in range(50)],
+    )
+    first, second = describe(read_run(tmp_path))["conflicts"]
+    assert first["pair"] == ["ONE", SENSED_WALL.strip()]
+    assert first["by"] == "own sensor, as predicted aboard"
+    assert second["pair"] == ["ONE", pole]
+    words = told(tmp_path)
+    assert "Nearest other aircraft" not in words
+    assert (
+        f"Nearest thing that a sensor aboard saw: {SENSED_WALL.strip()}, 20.02 m from ONE at 4.0 s "
+        "(own sensor, as predicted aboard); 2 obstacles or aircraft in conflict in all" in words
     )
 
 

@@ -1,0 +1,78 @@
+"""What sensors aboard measure of obstacles and aircraft that send nothing, and the attitude that this
+needs."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from companion.events.base import Event
+from companion.events.traffic import AdsbVehicle
+from companion.geometry import Vec3
+
+SENSED_HYPHEN = "\N{NON-BREAKING HYPHEN}"
+"""Stands in the names of sensed tracks. No id of a transmitted track contains it: Remote ID's are Latin-1,
+and ADS-B's are digits. So nobody's name on the air is taken for a measurement."""
+SENSED = f"sensed{SENSED_HYPHEN}"
+"""What the names of sensed tracks begin with."""
+SENSED_WALL = f"{SENSED}wall "
+"""What the names of places of sensed surfaces begin with."""
+UNKNOWN, NOTHING = -1, 0
+"""Values of `ObstacleScan.distances_cm`: not measured, and measured but nothing is there."""
+
+
+def is_sensed(track_id: str) -> bool:
+    """Whether a track is one that a sensor aboard has seen, by its name."""
+    return track_id.startswith(SENSED)
+
+
+def thing_of(track_id: str) -> str:
+    """Name of what a track is of: places of sensed surfaces are all of one thing, others are their own."""
+    return SENSED_WALL.rstrip() if track_id.startswith(SENSED_WALL) else track_id
+
+
+class Attitude(Event, frozen=True):
+    """ATTITUDE: how the own vehicle is turned. Roll to the right and pitch up are positive, yaw is from
+    north."""
+
+    time_boot_s: float
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+
+
+class ObstacleScan(Event, frozen=True):
+    """OBSTACLE_DISTANCE: distances around the vehicle, one for each sector of a plane."""
+
+    component: int
+    """Component that measured."""
+    axes: Literal["body", "nose", "north"]
+    """What the angles are measured in: the vehicle's own plane, which rolls and pitches with it; the level
+    plane, from the nose; the level plane, from north."""
+    first_deg: float
+    """Angle of the middle of the first sector, clockwise seen from above."""
+    step_deg: float
+    """Angle from one sector to the next, which is their width. Negative: counted anticlockwise."""
+    distances_cm: tuple[int, ...]
+    """Distance in each sector, or UNKNOWN or NOTHING."""
+    max_cm: int
+    """How far it sees."""
+
+
+class ObstaclePoint(Event, frozen=True):
+    """OBSTACLE_DISTANCE_3D: the place of one obstacle."""
+
+    component: int
+    axes: Literal["body", "offset", "local"]
+    """body: from the vehicle along its own axes (forward, right, down). offset: from the vehicle, NED.
+    local: from the origin of the autopilot's local frame, NED."""
+    position_m: Vec3
+    number: int | None = None
+    """Number that the sensor gave to this obstacle, for as long as it follows it; None: it follows none."""
+
+
+class SensedAircraft(Event, frozen=True):
+    """ADSB_VEHICLE of a radar or camera aboard: an aircraft that it follows. `icao` is the sensor's
+    number."""
+
+    component: int
+    report: AdsbVehicle

@@ -1,0 +1,96 @@
+"""Finds where a transmitted track and a sensed object are one aircraft, so that it is avoided once.
+
+The sensed object always stays: it is what is truly there. A transmitted track is left out while it agrees
+with one sensed object, in place and velocity, for `AGREED_S` and without a doubt about which is which. So a
+ghost on the radio that claims to be at a hovering obstacle gains nothing: the obstacle stays, and the ghost
+is avoided again as soon as it leaves. Crewed traffic is never left out, because its separations are larger.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+from companion.avoidance.law import ASIDE, Neighbour
+from companion.geometry import Vec3
+from companion.traffic.sensed.objects import Followed
+
+AGREED_S: Final = 2.0
+_SIGMAS: Final = 3.0
+_ROOM_M, _HIGH_M, _ROOM_MPS = 2.0, 20.0, 2.5
+_GOOD_MPS: Final = 2.5
+"""A velocity with a larger error agrees with nothing."""
+_OLDEST_S: Final = 3.0
+
+Key = tuple[bool, str]
+"""Whether a transmitted track is from ADS-B, and its id."""
+
+
+class Fusing:
+    """Which transmitted tracks are sensed, too."""
+
+    def __init__(self) -> None:
+        self._since_s: dict[tuple[Key, str], float] = {}
+        """Since when a transmitted track and a sensed object agree."""
+        self.fused: dict[Key, str] = {}
+        """Transmitted tracks that are left out now, and the names of their sensed objects."""
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._since_s.clear()
+        self.fused.clear()
+
+    def look(
+        self, now_s: float, heard: Sequence[Neighbour], objects: Sequence[Followed], own_sigma_m: float
+    ) -> list[Neighbour]:
+        """The transmitted tracks that are to be avoided, in their order.
+
+        Args:
+            heard: all transmitted tracks, and other places where they may be.
+            objects: sensed objects that are avoided.
+            own_sigma_m: error of the own position, one standard deviation for each axis.
+        """
+        if not objects:
+            self.clear()
+            return list(heard)
+        doubtful = {(o.adsb, o.track_id.partition(ASIDE)[0]) for o in heard if ASIDE in o.track_id}
+        pairs = [
+            ((other.adsb, other.track_id), one.name)
+            for one in objects
+            for other in heard
+            if (other.adsb, other.track_id) not in doubtful
+            and ASIDE not in other.track_id
+            and _agree(now_s, other, one, own_sigma_m)
+        ]
+        before, self._since_s = self._since_s, {}
+        for pair in pairs:
+            self._since_s[pair] = before.get(pair, now_s)
+        keys, names = [key for key, _ in pairs], [name for _, name in pairs]
+        self.fused = {
+            key: name
+            for key, name in pairs
+            if keys.count(key) == 1
+            and names.count(name) == 1
+            and now_s - self._since_s[key, name] >= AGREED_S - 1e-6
+        }
+        return [other for other in heard if (other.adsb, other.track_id) not in self.fused]
+
+
+def _agree(now_s: float, other: Neighbour, one: Followed, own_sigma_m: float) -> bool:
+    if other.crewed or other.silent or other.age_s > _OLDEST_S or one.sigma_mps > _GOOD_MPS:
+        return False
+    here, there = one.at(now_s), _predicted(other)
+    room_m = _ROOM_M + one.across_m + _SIGMAS * math.hypot(other.sigma_m, own_sigma_m)
+    if math.hypot(here[0] - there[0], here[1] - there[1]) > room_m:
+        return False
+    if other.vertical_known and one.vertical_known and abs(here[2] - there[2]) > _HIGH_M:
+        return False
+    velocity = one.velocity if one.moves else (0.0, 0.0, 0.0)
+    (vn, ve, _), (on, oe, _) = velocity, other.velocity_ned_mps
+    return math.hypot(vn - on, ve - oe) <= _ROOM_MPS
+
+
+def _predicted(other: Neighbour) -> Vec3:
+    (n, e, d), (vn, ve, vd), age = other.position_ned_m, other.velocity_ned_mps, other.age_s
+    return n + age * vn, e + age * ve, d + age * vd

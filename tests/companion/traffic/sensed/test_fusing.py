@@ -1,0 +1,99 @@
+"""A transmitted track and a sensed object that are one aircraft are avoided once, and never less than
+that."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.avoidance.law import ASIDE, Neighbour
+from tests.companion.traffic.sensed.world import World
+
+
+def heard(world: World, north: float, east: float, velocity=(0.0, 0.0, 0.0), **more) -> Neighbour:
+    values = {"track_id": "OTHER", "age_s": 0.5, "sigma_m": 2.0} | more
+    n, e = north - 0.5 * velocity[0], east - 0.5 * velocity[1]
+    return Neighbour(position_ned_m=(n, e, 0.0), velocity_ned_mps=velocity, **values)
+
+
+def hovering() -> World:
+    world = World(things=lambda _: [(25.0, 3.0, 0.5)])
+    world.run(3.0)
+    return world
+
+
+def agree(world: World, seconds: float, *others: Neighbour) -> list[str]:
+    names: list[str] = []
+    for _ in range(round(seconds / 0.2)):
+        world.run(0.2)
+        names = [other.track_id for other in world.fused(*others)]
+    return names
+
+
+def test_a_hovering_aircraft_that_sends_is_one_neighbour():
+    world = hovering()
+    names = agree(world, 3.0, heard(world, 25.5, 2.0))
+    assert len(names) == 1
+    assert names[0].startswith("sensed")
+    assert world.sensed.fused == {(False, "OTHER"): names[0]}
+
+
+def test_a_flying_aircraft_that_sends_is_one_neighbour():
+    world = World(things=lambda t: [(38.0 - 5.0 * (t - 10.0), 3.0, 0.5)])
+    world.run(1.5)
+    names: list[str] = []
+    for _ in range(15):
+        world.run(0.2)
+        north = 38.0 - 5.0 * (world.now_s - 10.0)
+        names = [other.track_id for other in world.fused(heard(world, north, 2.5, (-5.0, 0.0, 0.0)))]
+    assert len(names) == 1
+    assert names[0].startswith("sensed")
+
+
+def test_both_are_avoided_until_they_have_agreed_for_two_seconds():
+    world = hovering()
+    assert len(agree(world, 1.6, heard(world, 25.5, 2.0))) == 2
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"north": 60.0, "east": 2.0},
+        {"north": 25.0, "east": 2.0, "velocity": (5.0, 0.0, 0.0)},
+        {"north": 25.0, "east": 2.0, "crewed": True},
+        {"north": 25.0, "east": 2.0, "silent": True},
+        {"north": 25.0, "east": 2.0, "age_s": 5.0},
+    ],
+)
+def test_in_doubt_both_are_avoided(other):
+    world = hovering()
+    assert len(agree(world, 4.0, heard(world, **other))) == 2
+
+
+def test_two_that_claim_one_place_are_both_avoided():
+    world = hovering()
+    names = agree(world, 4.0, heard(world, 25.5, 2.0), heard(world, 24.5, 3.0, track_id="SECOND"))
+    assert len(names) == 3
+
+
+def test_a_track_with_another_place_is_avoided():
+    world = hovering()
+    names = agree(world, 4.0, heard(world, 25.5, 2.0), heard(world, 80.0, 2.0, track_id=f"OTHER{ASIDE}1"))
+    assert len(names) == 3
+
+
+def test_a_ghost_at_an_obstacle_takes_nothing_away_and_is_avoided_again_when_it_leaves():
+    world = hovering()
+    assert len(agree(world, 3.0, heard(world, 25.5, 2.0))) == 1
+    names = [other.track_id for other in world.fused(heard(world, 60.0, 2.0))]
+    assert len(names) == 2
+    assert any(name.startswith("sensed") for name in names)
+    world.fused()
+    assert len(world.fused()) == 1, "the obstacle stays when nobody claims to be there"
+
+
+def test_a_sensed_object_that_goes_gives_the_transmitted_track_back():
+    world = World(things=lambda t: [(25.0, 3.0, 0.5)] if t < 16.0 else [])
+    world.run(3.0)
+    assert len(agree(world, 2.6, heard(world, 25.5, 2.0))) == 1
+    names = agree(world, 4.0, heard(world, 25.5, 2.0))
+    assert names == ["OTHER"]

@@ -1,0 +1,459 @@
+"""What sensors see becomes tracks: poles stand, aircraft move, walls are a bounded number of places."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import pytest
+
+from companion.avoidance.law import Neighbour
+from companion.config import SensedConfig
+from companion.events import AdsbVehicle, Attitude, ObstaclePoint, ObstacleScan, SensedAircraft
+from companion.events.sensed import NOTHING, UNKNOWN, is_sensed
+from companion.traffic.sensed import objects, surfaces
+from companion.traffic.sensed.seen import MOST_POINTS
+from tests.companion.traffic.sensed.world import World, place
+from tests.support.place import HOME
+
+
+def one(world: World) -> Neighbour:
+    """The only thing that is seen."""
+    seen = world.seen()
+    assert len(seen) == 1, [(o.track_id, place(o)) for o in seen]
+    return seen[0]
+
+
+def off(other: Neighbour, north: float, east: float) -> float:
+    n, e, _ = place(other)
+    return math.hypot(n - north, e - east)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("east", [-8.0, 2.0, 14.0])
+def test_a_pole_stands_while_we_fly_past_it(seed, east):
+    world = World(things=lambda _: [(38.0, east, 0.2)], velocity=(5.0, 0.0, 0.0), seed=seed)
+    for _ in range(70):
+        world.run(0.1)
+        for other in world.seen():
+            assert other.velocity_ned_mps == (0.0, 0.0, 0.0)
+            assert off(other, 38.0, east) < 3.0
+    assert world.seen()
+
+
+@pytest.mark.parametrize("yaw_deg", [0, 90, 181, 355])
+@pytest.mark.parametrize("axes", ["body", "nose", "north"])
+def test_the_heading_turns_what_is_measured_from_the_nose(yaw_deg, axes):
+    world = World(things=lambda _: [(20.0, 0.0, 0.3)], yaw_rad=math.radians(yaw_deg))
+    if axes == "north":
+        world.yaw_rad = 0.0
+        scan = world.scan("north")
+        world.yaw_rad = math.radians(yaw_deg)
+    else:
+        scan = world.scan(axes)
+    for _ in range(3):
+        world.step(scan, scans=False)
+    assert off(one(world), 20.0, 0.0) < 1.5
+
+
+@pytest.mark.parametrize("speed", [5.0, 10.0])
+@pytest.mark.parametrize("course_deg", [180.0, 90.0, 225.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_an_aircraft_gets_its_velocity_within_its_own_error(speed, course_deg, seed):
+    vn, ve = speed * math.cos(math.radians(course_deg)), speed * math.sin(math.radians(course_deg))
+    away = lambda t: (30.0 + vn * (t - 12.5), 3.0 + ve * (t - 12.5))  # noqa: E731
+    world = World(things=lambda t: [(*away(t), 0.5)], seed=seed)
+    world.run(2.5)
+    other = one(world)
+    assert off(other, *away(world.now_s)) < 3.0
+    error = math.hypot(other.velocity_ned_mps[0] - vn, other.velocity_ned_mps[1] - ve)
+    assert error < 3.0 * other.sigma_mps
+    assert error < 2.5
+    assert other.share == 1.0
+    assert other.proven
+
+
+def test_an_aircraft_that_is_not_known_to_move_yet_stands():
+    world = World(things=lambda t: [(35.0 - 3.0 * (t - 10.0), 0.0, 0.5)])
+    world.run(0.15)
+    assert one(world).velocity_ned_mps == (0.0, 0.0, 0.0)
+    world.run(1.0)
+    assert one(world).velocity_ned_mps[0] == pytest.approx(-3.0, abs=1.0)
+
+
+def test_what_moves_is_on_collision_course_until_its_motion_across_is_known():
+    """Its bearing stays as it is, as seen from an aircraft that flies north at 5 m/s."""
+    ahead = lambda t: (30.0 - 6.0 * (t - 10.0), 26.0 - 8.0 * (t - 10.0))  # noqa: E731
+    world = World(things=lambda t: [(*ahead(t), 0.5)], velocity=(5.0, 0.0, 0.0))
+    world.run(0.5)
+    other = one(world)
+    n, e = ahead(world.now_s)[0] - world.position[0], ahead(world.now_s)[1]
+    un, ue = n / math.hypot(n, e), e / math.hypot(n, e)
+    vn, ve, _ = other.velocity_ned_mps
+    across = (un * ve - ue * vn) - (un * 0.0 - ue * 5.0)
+    assert abs(across) < 2.0, "relative to us it does not move across"
+    world.run(1.5)
+    assert one(world).velocity_ned_mps[:2] == (pytest.approx(-6.0, abs=2.0), pytest.approx(-8.0, abs=2.0))
+
+
+@pytest.mark.parametrize("east_mps", [0.0, 2.0])
+def test_a_wall_is_a_bounded_number_of_places_that_stand_and_leave_no_gap(east_mps):
+    world = World(walls=[((45.0, -60.0, 0.0), (45.0, 60.0, 0.0))], velocity=(4.0, east_mps, 0.0))
+    for _ in range(17):
+        world.run(0.5)
+        assert len(world.seen()) <= surfaces.MOST + 2
+        for other in world.seen():
+            assert other.velocity_ned_mps == (0.0, 0.0, 0.0)
+            assert abs(place(other)[0] - 45.0) < 3.0
+    east = world.position[1]
+    places = sorted(place(other)[1] for other in world.seen() if abs(place(other)[1] - east) < 25.0)
+    assert places[0] < east - 12.0
+    assert places[-1] > east + 12.0
+    assert max(b - a for a, b in pairwise(places)) < 12.0
+
+
+def test_the_margin_holds_the_sector_and_the_errors():
+    narrow = World(things=lambda _: [(30.0, 0.0, 0.2)])
+    wide = World(things=lambda _: [(30.0, 0.0, 0.2)], step_deg=45.0)
+    for world in (narrow, wide):
+        world.run(1.0)
+    assert one(narrow).sigma_m < 0.5
+    # A sector of 45 deg is 23 m wide there, 11.5 m to either side.
+    assert 4.0 * math.hypot(one(wide).sigma_m, wide.own.sigma_m) == pytest.approx(11.5 + 3.0 * 0.8, abs=1.0)
+
+
+def test_the_height_of_a_scan_is_not_known_and_nothing_is_passed_above():
+    world = World(things=lambda _: [(20.0, 0.0, 0.3)])
+    world.run(0.5)
+    assert not one(world).vertical_known
+
+
+# ------------------------------------------------------------ what must not be taken for an obstacle
+
+
+def test_a_vehicle_that_rolls_sees_the_ground_and_takes_it_for_none():
+    world = World(roll_rad=math.radians(30.0), position=(0.0, 0.0, 35.0))  # 15 m above home
+    ground = ObstacleScan(
+        component=196, axes="body", first_deg=0.0, step_deg=5.0, max_cm=4000, distances_cm=tuple(round(1500 /
+        math.sin(math.radians(30.0))) if 15 <= i <= 21 else NOTHING for i in range(72)),
+    )  # fmt: skip
+    for _ in range(20):
+        world.step(ground, scans=False)
+    assert world.seen() == []
+    assert world.sensed.trouble is None
+
+
+def test_what_a_rolled_vehicle_sees_above_the_ground_lies_lower_than_it_flies():
+    world = World(roll_rad=math.radians(30.0))
+    right = ObstacleScan(
+        component=196, axes="body", first_deg=90.0, step_deg=5.0, max_cm=4000, distances_cm=(3000,)
+    )
+    for _ in range(5):
+        world.step(right, scans=False)
+    other = one(world)
+    assert place(other)[2] == pytest.approx(15.0, abs=1.0)
+    assert other.vertical_known, "it lies 15 m below, and need not be passed to the side"
+
+
+def test_the_own_rotor_is_no_obstacle():
+    world = World(things=lambda _: [(0.3, 0.0, 0.05)])
+    world.run(1.0)
+    assert world.seen() == []
+
+
+def test_sectors_join_around_the_nose():
+    """A thing dead ahead lies in the last and the first sector."""
+    scan = ObstacleScan(
+        component=196, axes="body", first_deg=0.0, step_deg=5.0, max_cm=4000,
+        distances_cm=(2000, *[NOTHING] * 70, 2000),
+    )  # fmt: skip
+    world = World()
+    for _ in range(3):
+        world.step(scan, scans=False)
+    assert off(one(world), 20.0, -0.9) < 0.5
+
+
+@pytest.mark.parametrize("step_deg", [5.0, -5.0])
+def test_sectors_may_be_counted_either_way(step_deg):
+    scan = ObstacleScan(
+        component=196, axes="nose", first_deg=0.0, step_deg=step_deg, max_cm=4000,
+        distances_cm=(*[NOTHING] * 18, 2000, *[NOTHING] * 53),
+    )  # fmt: skip
+    world = World()
+    for _ in range(3):
+        world.step(scan, scans=False)
+    assert off(one(world), 0.0, math.copysign(20.0, step_deg)) < 0.5
+
+
+def test_two_scans_of_one_component_in_a_step_may_cover_a_half_each():
+    halves = [
+        ObstacleScan(
+            component=196, axes="nose", first_deg=first, step_deg=5.0, max_cm=4000,
+            distances_cm=(*[NOTHING] * 18, 2000, *[NOTHING] * 17),
+        )
+        for first in (-90.0, 90.0)
+    ]  # fmt: skip
+    world = World()
+    for _ in range(5):
+        world.step(*halves, scans=False)
+    assert sorted(round(place(other)[0]) for other in world.seen()) == [-20, 20]
+
+
+def test_a_flood_of_scans_in_one_step_is_bounded():
+    world = World()
+    flood = [
+        ObstacleScan(
+            component=196, axes="nose", first_deg=float(i), step_deg=5.0, max_cm=4000, distances_cm=(2000,)
+        )
+        for i in range(100)
+    ]
+    for _ in range(3):
+        world.step(*flood, scans=False)
+    assert world.sensed.counts.scans == 300
+    assert len(world.seen()) <= objects.MOST + surfaces.MOST
+
+
+def test_one_measurement_is_not_enough():
+    world = World(things=lambda t: [(20.0, 0.0, 0.3)] if t < 10.06 else [])
+    world.run(0.1)
+    assert world.seen() == []
+    world.run(2.0)
+    assert world.seen() == []
+
+
+# ------------------------------------------------------------ when nothing is used
+
+
+@pytest.mark.parametrize(
+    ("how", "why"),
+    [
+        ({"attitude": False}, "attitude"),
+        ({"telemetry": False}, "own position older"),
+    ],
+)
+def test_measurements_without_a_fresh_attitude_or_position_are_refused(how, why):
+    world = World(things=lambda _: [(20.0, 0.0, 0.3)])
+    world.run(1.2, scans=False)
+    world.run(1.2, scans=False, **how)
+    world.run(0.5, **how)
+    assert world.seen() == []
+    assert why in (world.sensed.trouble or "")
+    assert world.sensed.counts.refused > 0
+    world.run(2.5)
+    assert world.seen()
+    assert world.sensed.trouble is None
+
+
+def test_a_vehicle_that_leans_or_turns_too_much_measures_nothing():
+    world = World(things=lambda _: [(20.0, 0.0, 0.3)], roll_rad=math.radians(50.0))
+    world.run(0.5)
+    assert world.sensed.trouble == "leaning more than 45 deg"
+    world.roll_rad = 0.0
+    for number in range(20):
+        world.yaw_rad = math.remainder(number * math.radians(10.0), math.tau)  # 200 deg/s
+        world.step()
+    assert world.sensed.trouble == "turning faster than 90 deg/s"
+    assert world.seen() == []
+
+
+def test_measurements_that_waited_are_refused():
+    world = World(things=lambda _: [(20.0, 0.0, 0.3)])
+    world.run(1.0, scans=False)
+    for _ in range(5):
+        world.step(scans=False)
+        world.sensed.hear([world.scan()], world.now_s, world.own, sent_s=world.now_s - 0.5)
+    assert world.seen() == []
+    assert world.sensed.trouble == "input is behind"
+
+
+def test_a_new_local_frame_forgets_everything():
+    world = World(things=lambda _: [(20.0, 0.0, 0.3)], walls=[((-20.0, -30.0, 0.0), (-20.0, 30.0, 0.0))])
+    world.run(1.0)
+    assert len(world.seen()) > 3
+    world.sensed.clear()
+    assert world.seen() == []
+
+
+# ------------------------------------------------------------ the end of tracks
+
+
+def test_a_moving_object_is_kept_for_two_seconds_and_a_standing_one_for_three():
+    world = World(things=lambda t: [(25.0, -20.0 + 7.0 * (t - 10.0), 0.5), (-20.0, 0.0, 0.3)])
+    world.run(2.0)
+    assert len(world.seen()) == 2
+    world.run(1.8, scans=False)
+    assert len(world.seen()) == 2
+    world.run(0.3, scans=False)
+    assert one(world).velocity_ned_mps == (0.0, 0.0, 0.0)
+    world.run(1.0, scans=False)
+    assert world.seen() == []
+
+
+def test_a_scan_that_sees_past_a_place_removes_what_stood_there():
+    gone_s = 12.0
+    world = World(things=lambda t: [(20.0, 0.0, 0.3)] if t < gone_s else [])
+    world.run(2.0)
+    assert world.seen()
+    world.run(0.9)
+    assert world.seen() == []
+
+
+def test_a_pole_out_of_view_is_remembered_while_the_scan_does_not_reach_it():
+    world = World(things=lambda _: [(20.0, 0.0, 0.3)])
+    world.run(1.0)
+    blind = ObstacleScan(
+        component=196,
+        axes="body",
+        first_deg=0.0,
+        step_deg=5.0,
+        max_cm=4000,
+        distances_cm=(UNKNOWN,) * 71 + (NOTHING,),
+    )
+    for _ in range(40):
+        world.step(blind, scans=False)
+    assert off(one(world), 20.0, 0.0) < 1.5
+
+
+# ------------------------------------------------------------ points and followed aircraft
+
+
+def point(n: float, e: float, d: float, axes: str = "offset", number: int | None = None) -> ObstaclePoint:
+    return ObstaclePoint(component=196, axes=axes, position_m=(n, e, d), number=number)  # type: ignore[arg-type]
+
+
+def test_points_of_a_pole_are_one_object_whose_top_is_not_known():
+    world = World()
+    for _ in range(4):
+        world.step(*[point(25.0, 3.0, float(d)) for d in range(-6, 7, 2)], scans=False)
+    other = one(world)
+    assert off(other, 25.0, 3.0) < 0.5
+    assert not other.vertical_known
+
+
+def test_points_of_a_wall_are_several_places():
+    world = World()
+    for _ in range(4):
+        world.step(*[point(25.0, float(e), 0.0) for e in range(-20, 21, 2)], scans=False)
+    assert 5 <= len(world.seen()) <= 8
+    assert all(other.velocity_ned_mps == (0.0, 0.0, 0.0) for other in world.seen())
+
+
+def test_points_along_the_body_turn_with_it():
+    world = World(yaw_rad=math.radians(90.0), pitch_rad=math.radians(-20.0))
+    for _ in range(4):
+        world.step(point(30.0, 0.0, 0.0, "body"), scans=False)
+    n, e, d = place(one(world))
+    assert (n, e) == (
+        pytest.approx(0.0, abs=0.1),
+        pytest.approx(30.0 * math.cos(math.radians(20.0)), abs=0.1),
+    )
+    assert d == pytest.approx(30.0 * math.sin(math.radians(20.0)), abs=0.1)
+
+
+def test_points_in_the_autopilots_frame_need_its_position():
+    from companion.events import LocalPosition
+
+    world = World()
+    for _ in range(3):
+        world.step(point(125.0, 40.0, -50.0, "local"), scans=False)
+    assert world.seen() == []
+    for _ in range(3):
+        told = LocalPosition(
+            time_boot_s=1.0, position_ned_m=(100.0, 40.0, -50.0), velocity_ned_mps=(0.0, 0.0, 0.0)
+        )
+        world.step(told, point(125.0, 40.0, -50.0, "local"), scans=False)
+    assert off(one(world), 25.0, 0.0) < 0.1
+
+
+def test_an_obstacle_with_a_number_keeps_its_track_where_others_cross_it():
+    world = World()
+    for number in range(40):
+        t = number * 0.05
+        world.step(
+            point(20.0, -8.0 + 8.0 * t, 0.0, number=1), point(20.5, 8.0 - 8.0 * t, 0.0, number=2), scans=False
+        )
+    names = {round(other.velocity_ned_mps[1] / 8.0): other.track_id for other in world.seen()}
+    assert names.keys() == {1, -1}
+
+
+def aircraft(world: World, n: float, e: float, d: float, velocity=(0.0, 0.0, 0.0), **more) -> SensedAircraft:
+    lat, lon, alt = HOME.to_geodetic(n, e, d)
+    report = AdsbVehicle(icao=7, lat_deg=lat, lon_deg=lon, alt_m=alt, velocity_ned_mps=velocity, **more)
+    return SensedAircraft(component=196, report=report)
+
+
+def test_an_aircraft_that_the_sensor_follows_is_where_it_says():
+    world = World()
+    for number in range(10):
+        world.step(aircraft(world, 100.0 - 0.75 * number, 5.0, -20.0, (-15.0, 0.0, 0.0)), scans=False)
+    other = one(world)
+    assert off(other, 93.25, 5.0) < 0.5
+    assert other.velocity_ned_mps == (-15.0, 0.0, 0.0)
+    assert other.vertical_known
+    assert not other.crewed
+    assert place(other)[2] == pytest.approx(-20.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"n": 900.0}, {"velocity": (200.0, 0.0, 0.0)}, {"age_s": 5.0}, {"n": 0.1, "e": 0.0, "d": 0.0}],
+)
+def test_what_no_sensor_sees_is_no_track(wrong):
+    world = World()
+    for _ in range(5):
+        at = {"n": 100.0, "e": 0.0, "d": 0.0} | wrong
+        world.step(aircraft(world, **at), scans=False)
+    assert world.seen() == []
+
+
+# ------------------------------------------------------------ bounds
+
+
+def test_there_are_never_more_tracks_than_the_bound():
+    world = World(SensedConfig(use=True, latency_s=0.0))
+    for _ in range(30):
+        points = [point(20.0 + 8.0 * (i // 12), -80.0 + 13.0 * (i % 12), 0.0, number=i) for i in range(100)]
+        world.step(*points, scans=False)
+        world.step(*[point(-30.0, float(e), 0.0) for e in range(-100, 100, 2)], scans=False)
+        assert len(world.seen()) <= objects.MOST + surfaces.MOST
+    before = world.sensed._objects.refused
+    for _ in range(3):
+        world.step(*[point(90.0 + i, -40.0 + 7.0 * i, 0.0, number=200 + i) for i in range(12)], scans=False)
+    assert world.sensed._objects.refused > before, "farther ones find no room"
+    assert MOST_POINTS < 100
+
+
+def test_the_nearest_objects_are_the_ones_that_are_kept():
+    world = World()
+    for _ in range(5):
+        many = [point(40.0 + i, 30.0 - 7.0 * i, 0.0, number=i) for i in range(objects.MOST)]
+        world.step(*many, scans=False)
+    world.step(point(15.0, 0.0, 0.0, number=999), scans=False)
+    assert any(off(other, 15.0, 0.0) < 1.0 for other in world.seen())
+
+
+def test_names_are_those_of_no_transmitted_track():
+    world = World(things=lambda _: [(20.0, 0.0, 0.3)])
+    world.run(0.5)
+    assert is_sensed(one(world).track_id)
+    assert not is_sensed("sensed 1"), "a Remote ID sender can call itself this"
+    with pytest.raises(UnicodeEncodeError):
+        one(world).track_id.encode("latin-1")
+
+
+def test_the_same_input_gives_the_same_tracks():
+    worlds = [
+        World(things=lambda t: [(30.0 - 5 * (t - 10), 1.0, 0.5), (25.0, 15.0, 0.2)], seed=3) for _ in range(2)
+    ]
+    for world in worlds:
+        world.run(3.0)
+    assert worlds[0].seen() == worlds[1].seen()
+
+
+def test_attitudes_of_the_future_are_forgotten():
+    world = World(things=lambda _: [(20.0, 0.0, 0.3)])
+    world.run(1.0)
+    ahead = Attitude(time_boot_s=0.0, roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0)
+    world.sensed._poses.note_attitude(ahead, world.now_s + 100.0)
+    world.run(1.0)
+    assert off(one(world), 20.0, 0.0) < 1.5

@@ -1,0 +1,80 @@
+"""Flights towards what sends nothing: drawn so that they would hit, flown by the companion's own core."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+
+from ground_tools.campaign.sensed import cells, flight, scene
+from ground_tools.campaign.sensed.flight import Row
+from ground_tools.campaign.sensed.scene import KINDS, MEETING_S, PASS_M, Cell
+from ground_tools.cli import main
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(1, 30))
+def test_what_is_drawn_lies_in_the_way(kind, seed):
+    drawn = scene.draw(Cell(kind=kind), seed)
+    assert drawn.obstacle.distance_m(drawn.planned(MEETING_S), MEETING_S) <= math.hypot(PASS_M, 2.0)
+    assert 2.5 <= drawn.speed_mps <= 3.75
+    assert scene.draw(Cell(kind=kind, range_m=80.0, message="points"), seed) == drawn
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_flight_keeps_away_and_is_the_same_each_time(kind):
+    row = flight.fly(Cell(kind=kind), 3)
+    assert row == flight.fly(Cell(kind=kind), 3)
+    assert row.unavoided_m < 8.0
+    assert not row.hit
+    assert row.separation_m > row.unavoided_m
+    assert row.seen_s is not None
+    assert row.seen_s > 0.0
+
+
+def test_a_sensor_that_sees_nothing_in_time_saves_nobody():
+    row = flight.fly(Cell(kind="unheard-10", range_m=5.0), 3)
+    assert row.separation_m == pytest.approx(row.unavoided_m, abs=6.0)
+
+
+def test_a_summary_counts():
+    rows = [
+        Row(1, 1.0, 0.5, 9.0, 1.0, 2.0),
+        Row(2, 8.0, 3.0, 10.0, 2.0, None),
+        Row(3, 14.0, 11.0, 20.0, 3.0, 6.0),
+    ]
+    found = cells.summary(rows)
+    assert (found["flights"], found["lost"], found["hit"]) == (3, 2, 1)
+    assert (found["lost_unavoided"], found["hit_unavoided"], found["not_seen"]) == (2, 1, 1)
+    assert (found["least_m"], found["deviation_median_m"], found["seen_median_s"]) == (1.0, 10.0, 4.0)
+    assert "| pole | 40 | 3 | 2 / 1 | 2 | 1 | 1.00 |" in cells.markdown({Cell(kind="pole"): found})
+
+
+def test_the_command_keeps_what_it_flew(tmp_path, capsys):
+    words = [
+        "campaign",
+        "sensed",
+        "--kind",
+        "pole",
+        "--seeds",
+        "1-2",
+        "--processes",
+        "1",
+        "--out",
+        str(tmp_path),
+    ]
+    assert main([*words, "--json"]) == 0
+    first = json.loads(capsys.readouterr().out)
+    (cell,) = first["cells"]
+    assert (cell["kind"], cell["range_m"], cell["flights"], cell["hit"]) == ("pole", 40.0, 2, 0)
+    (file,) = tmp_path.glob("*.jsonl")
+    before = file.read_bytes()
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == first
+    assert file.read_bytes() == before
+
+
+def test_names_of_groups_and_wrong_numbers(capsys):
+    assert main(["campaign", "sensed", "--range", "2", "--kind", "unheard"]) == 2
+    assert "range_m" in capsys.readouterr().err
