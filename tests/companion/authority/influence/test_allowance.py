@@ -187,6 +187,20 @@ def test_a_name_that_somebody_else_has_used_before_does_not_yield():
     assert sky.all._tracks[False, "A"].first_s < 1.0
 
 
+def test_time_outside_counts_half_against_time_inside():
+    """It presses after 30 s inside; it did not appear there."""
+    sky = Sky(ContainmentConfig())
+    inside, outside = ({"at": (x, 0.0, 0.0), "velocity": ZERO} for x in (5.0, 90.0))
+    sky.run(2.4, other("A", **outside), radius_m=30.0)
+    sky.run(24.0, other("A", **inside), radius_m=30.0)
+    sky.run(16.0, other("A", **outside), radius_m=30.0)
+    sky.run(12.0, other("A", **inside), radius_m=30.0)
+    assert sky.all._tracks[False, "A"].pressed_s == pytest.approx(28.0, abs=0.5)
+    assert not sky.yielding
+    sky.run(3.0, other("A", **inside), radius_m=30.0)
+    assert sky.yielding == {"A"}
+
+
 def test_crewed_and_proven_traffic_never_yields():
     sky = Sky()
     near = {"at": (5.0, 0.0, 0.0)}

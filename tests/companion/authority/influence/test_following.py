@@ -181,6 +181,38 @@ def test_whoever_comes_to_that_place_later_is_no_heir(silent_s, heir):
     assert (pair.fly(2.0, "LATER", ghost(offset)) is not None) is heir
 
 
+@pytest.mark.parametrize(("age_s", "heir"), [(0.0, True), (3.2, False)])
+def test_the_pause_counts_from_the_message_not_from_the_last_prediction(age_s, heir):
+    pair, offset = Pair(), np.array((0.0, -24.0, 0.0))
+    assert pair.fly(16.0, "GHOST", ghost(offset)) is not None
+    own = tuple(pair.own.tolist()), tuple(pair.own_mps.tolist())
+    old = Neighbour("GHOST", tuple((pair.own + offset).tolist()), own[1], age_s, 3.0)
+    pair.followers.hear(pair.now_s, "GHOST", *own, old)
+    for _ in range(4):
+        pair.step()
+    assert (pair.fly(3.0, "LATER", ghost(offset)) is not None) is heir
+
+
+@pytest.mark.parametrize(("silent_after_s", "heir"), [(3.0, True), (6.0, False)])
+def test_who_falls_silent_when_the_other_one_is_long_there_has_no_heir(silent_after_s, heir):
+    """Until then, both keep the same place beside us."""
+    pair, offset = Pair(), np.array((0.0, -24.0, 0.0))
+    assert pair.fly(16.0, "GHOST", ghost(offset)) is not None
+    straight = pair.own + offset
+    begun_s = pair.now_s
+    for step in range(50):
+        there = straight + step * PERIOD_S * np.array([7.0, 4.0, 0.0])
+        others = {"OTHER": (there, (7.0, 4.0, 0.0))}
+        own = tuple(pair.own.tolist()), tuple(pair.own_mps.tolist())
+        silent = pair.now_s - begun_s > silent_after_s
+        known = Neighbour("GHOST", tuple(there.tolist()), own[1], 0.0, 3.0, silent=silent)
+        if step:
+            pair.followers.hear(pair.now_s, "GHOST", *own, known)
+            pair.followers._conflicts["GHOST"].heard_s = begun_s
+        found = pair.step(**others)
+    assert ("OTHER" in found) is heir
+
+
 def test_an_honest_aircraft_at_the_place_of_a_ghost_is_no_heir_of_it():
     """We are pushed to where it flies; the ghost goes on."""
     pair, offset = Pair(), np.array((0.0, -24.0, 0.0))
@@ -199,3 +231,7 @@ def test_what_is_remembered_is_bounded():
         place = pair.own - np.array([0.0, 20.0 + 15.0 * number, 0.0])
         pair.step(**{f"N{number}": (place, (7.0, 0.0, 0.0))})
     assert len(pair.followers._conflicts) <= 32
+    assert "LATER" not in pair.followers
+    pair.now_s += 20.0
+    pair.step(LATER=(pair.own + np.array([0.0, -24.0, 0.0]), (7.0, 0.0, 0.0)))
+    assert "LATER" in pair.followers
