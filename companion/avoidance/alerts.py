@@ -235,9 +235,7 @@ class Alerts:
         way = approach(away, closing, *self._separations[other.crewed])
         if not other.crewed:
             return way
-        radius_m, height_m = self._well_clear_m
-        # A pressure altitude may be off by tens of metres.
-        loss_s = time_to_cylinder(away, closing, radius_m, height_m + other.sigma_down_m)
+        loss_s = time_to_cylinder(away, closing, *self._well_clear_m)
         return Approach(way.time_s, way.horizontal_m, way.vertical_m, loss_s)
 
     def _level(self, other: Neighbour, way: Approach, conflict: bool, active: bool) -> Level:
