@@ -76,11 +76,12 @@ def test_hard_planes_come_before_all() -> None:
     assert k.solve_in_order(planes, SPEED, k.Vector(0.0, 0.0, 0.0))[1].e == pytest.approx(-1.0, abs=1e-6)
 
 
-def decided(*neighbours: Neighbour, wanted: Any = (5.0, 0.0, 0.0), crewed: bool = False) -> LawResult:
+def decided(*neighbours: Neighbour) -> LawResult:
+    """The decision of an aircraft that flies north at 5 m/s."""
     limits = LimitsConfig(max_speed_mps=SPEED, max_acceleration_mps2=20.0)
-    ways = [(t, (*(t * v for v in wanted[:2]), -80.0)) for t in (-100.0, 100.0)]
-    law = Law(AvoidanceConfig(), limits, Trajectory(*zip(*ways, strict=True)))  # type: ignore[arg-type]
-    situation = Situation(0.0, 0.0, (0.0, 0.0, -80.0), wanted, 1.5, neighbours)
+    path = Trajectory([-100.0, 100.0], [(-500.0, 0.0, -80.0), (500.0, 0.0, -80.0)])
+    law = Law(AvoidanceConfig(), limits, path)
+    situation = Situation(0.0, 0.0, (0.0, 0.0, -80.0), (5.0, 0.0, 0.0), 1.5, neighbours)
     return law.decide(situation)
 
 

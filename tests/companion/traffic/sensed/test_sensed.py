@@ -61,7 +61,10 @@ def test_the_heading_turns_what_is_measured_from_the_nose(yaw_deg, axes):
 @pytest.mark.parametrize("seed", range(3))
 def test_an_aircraft_gets_its_velocity_within_its_own_error(speed, course_deg, seed):
     vn, ve = speed * math.cos(math.radians(course_deg)), speed * math.sin(math.radians(course_deg))
-    away = lambda t: (30.0 + vn * (t - 12.5), 3.0 + ve * (t - 12.5))  # noqa: E731
+
+    def away(t):
+        return 30.0 + vn * (t - 12.5), 3.0 + ve * (t - 12.5)
+
     world = World(things=lambda t: [(*away(t), 0.5)], seed=seed)
     world.run(2.5)
     other = one(world)
@@ -83,7 +86,10 @@ def test_an_aircraft_that_is_not_known_to_move_yet_stands():
 
 def test_what_moves_is_on_collision_course_until_its_motion_across_is_known():
     """Its bearing stays as it is, as seen from an aircraft that flies north at 5 m/s."""
-    ahead = lambda t: (30.0 - 6.0 * (t - 10.0), 26.0 - 8.0 * (t - 10.0))  # noqa: E731
+
+    def ahead(t):
+        return 30.0 - 6.0 * (t - 10.0), 26.0 - 8.0 * (t - 10.0)
+
     world = World(things=lambda t: [(*ahead(t), 0.5)], velocity=(5.0, 0.0, 0.0))
     world.run(0.5)
     other = one(world)
