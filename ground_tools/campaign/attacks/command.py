@@ -19,11 +19,11 @@ from ground_tools.campaign.attacks.outcome import Row
 from ground_tools.campaign.attacks.scene import MANNERS, USES, Cell, baseline
 from ground_tools.channel import options
 from ground_tools.common.kept_lines import Kept
+from ground_tools.common.missing_flights import fly_missing
 from ground_tools.common.progress import progress
 from ground_tools.common.run_options import processes_of, seeds_of
-from ground_tools.common.workers import in_parallel, rounds_in_parallel
+from ground_tools.common.workers import rounds_in_parallel
 
-_AT_ONCE: Final = 5
 _NAMES: Final = (*KINDS, "worst")
 
 Part = tuple[Cell, list[int]]
@@ -77,37 +77,14 @@ def run(args: argparse.Namespace) -> int:
         return _run_worst(args, seeds, jobs)
     wanted = {kind: _cell(args, kind) for kind in kinds}
     cells = list(dict.fromkeys([*wanted.values(), *map(baseline, wanted.values())]))
-    rows = fly_missing(cells, seeds, args.out, jobs)
+    files: dict[Cell, Kept[Row]] = {}
+    if args.out is not None:
+        options.make_folder(args.out)
+        files = {cell: _file(args.out, cell) for cell in cells}
+    rows = fly_missing(_fly, cells, seeds, files, lambda row: row.seed, jobs)
     found = {kind: tables.summary(rows[cell], rows[baseline(cell)]) for kind, cell in wanted.items()}
     print(json.dumps(found, allow_nan=False) if args.json else tables.markdown(found), end="")
     return 0
-
-
-def fly_missing(
-    cells: Sequence[Cell], seeds: Sequence[int], folder: Path | None, jobs: int
-) -> dict[Cell, list[Row]]:
-    """Fly the seeds of all cells that the folder does not hold. Returns the rows in the order of the seeds.
-
-    Raises:
-        ConfigError: a file cannot be read or written.
-    """
-    files: dict[Cell, Kept[Row]] = {}
-    rows: dict[Cell, dict[int, Row]] = {cell: {} for cell in cells}
-    if folder is not None:
-        options.make_folder(folder)
-        files = {cell: _file(folder, cell) for cell in cells}
-        rows = {cell: dict(file.rows) for cell, file in files.items()}
-    parts: list[Part] = []
-    for cell in cells:
-        missing = [seed for seed in seeds if seed not in rows[cell]]
-        parts += [(cell, missing[at : at + _AT_ONCE]) for at in range(0, len(missing), _AT_ONCE)]
-    with progress("flights", len(parts)) as advance:
-        for (cell, _), found in in_parallel(_fly, parts, jobs, Console(stderr=True)):
-            if cell in files:
-                files[cell].add(found)
-            rows[cell].update((row.seed, row) for row in found)
-            advance()
-    return {cell: [rows[cell][seed] for seed in seeds] for cell in cells}
 
 
 def _fly(part: Part) -> list[Row]:

@@ -5,12 +5,10 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 import msgspec
-from rich.console import Console
 
 from companion.errors import ConfigError
 from ground_tools.campaign.sensed import cells, flight
@@ -18,14 +16,12 @@ from ground_tools.campaign.sensed.flight import Row
 from ground_tools.campaign.sensed.scene import KINDS, Cell
 from ground_tools.channel import options
 from ground_tools.common.kept_lines import Kept
-from ground_tools.common.progress import progress
+from ground_tools.common.missing_flights import fly_missing
 from ground_tools.common.run_options import processes_of, seeds_of
-from ground_tools.common.workers import in_parallel
 
 SENSED, UNHEARD = "sensed", "unheard"
 _GROUPS: Final = {SENSED: ("pole", "wall"), UNHEARD: ("unheard-5", "unheard-10")}
 """Kinds that go by one name: what stands, and aircraft at 5 and 10 m/s."""
-_AT_ONCE: Final = 5
 
 Part = tuple[Cell, list[int]]
 
@@ -65,7 +61,11 @@ def run(args: argparse.Namespace) -> int:
     """
     seeds, processes = seeds_of(args.seeds), processes_of(args.processes)
     wanted = _cells(args)
-    rows = fly_missing(wanted, seeds, args.out, processes)
+    files: dict[Cell, Kept[Row]] = {}
+    if args.out is not None:
+        options.make_folder(args.out)
+        files = {cell: cells.kept(args.out, cell) for cell in wanted}
+    rows = fly_missing(_fly, wanted, seeds, files, lambda row: row.seed, processes)
     found = {cell: cells.summary(rows[cell]) for cell in wanted}
     if args.json:
         lines = [{**msgspec.to_builtins(cell), **one} for cell, one in found.items()]
@@ -97,32 +97,6 @@ def _cells(args: argparse.Namespace) -> list[Cell]:
         ]
     except msgspec.ValidationError as error:
         raise ConfigError(f"campaign sensed: {error}") from error
-
-
-def fly_missing(
-    wanted: Sequence[Cell], seeds: Sequence[int], folder: Path | None, processes: int
-) -> dict[Cell, list[Row]]:
-    """Fly the seeds of all cells that the folder does not hold. Returns the rows in the order of the seeds.
-
-    Raises:
-        ConfigError: a file cannot be read or written.
-    """
-    files: dict[Cell, Kept[Row]] = {}
-    if folder is not None:
-        options.make_folder(folder)
-        files = {cell: cells.kept(folder, cell) for cell in wanted}
-    rows = {cell: dict(files[cell].rows) if cell in files else {} for cell in wanted}
-    parts: list[Part] = []
-    for cell in wanted:
-        missing = [seed for seed in seeds if seed not in rows[cell]]
-        parts += [(cell, missing[at : at + _AT_ONCE]) for at in range(0, len(missing), _AT_ONCE)]
-    with progress("flights", len(parts)) as advance:
-        for (cell, _), found in in_parallel(_fly, parts, processes, Console(stderr=True)):
-            if cell in files:
-                files[cell].add(found)
-            rows[cell].update((row.seed, row) for row in found)
-            advance()
-    return {cell: [rows[cell][seed] for seed in seeds] for cell in wanted}
 
 
 def _fly(part: Part) -> list[Row]:
