@@ -106,8 +106,12 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """Turn rate, positive to the right; for crewed traffic."""
     sigma_down_m: float = 0.0
     """Error of the difference of its height and ours, one standard deviation; for crewed traffic."""
+    split: bool = False
+    """True: another track had its name first. Either of them may be a copy."""
     yields: bool = False
-    """True: it presses on us, and is avoided only as far as all others allow."""
+    """True: it may be forged to press on us, and is avoided only as far as all others allow."""
+    presses: bool = False
+    """True: it yields, and has been inside its volume or follows us."""
 
 
 @dataclass(frozen=True, slots=True)

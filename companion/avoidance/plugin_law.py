@@ -42,7 +42,7 @@ class OwnLaw(Protocol):
 
         Args:
             situation: own state, and all neighbours that are not too old, sorted by their ids. Those that
-                press on us (`Neighbour.yields`) are left out while any other is within 300 m.
+                press on us (`Neighbour.presses`) are left out while any other is within 300 m.
             follow: the decision that follows the path and avoids nobody: the velocity along the path
                 (`wanted_ned_mps`), whether it would enter the volume of a neighbour (`conflict`), and the
                 neighbours as they are predicted now, with the radius of the volume of each (`tracks`).
@@ -125,12 +125,12 @@ class PluginLaw(Law):
 
 
 def _without_yielding(situation: Situation) -> Situation:
-    """The situation without aircraft that yield, if another is near. Our own laws avoid them as far as all
-    others allow; a plug-in's knows no such order."""
+    """The situation without aircraft that press on us, if another is near. Our own laws avoid them as far as
+    all others allow; a plug-in's knows no such order."""
     here, others = situation.position_ned_m, situation.neighbours
-    if all(not other.yields for other in others):
+    if all(not other.presses for other in others):
         return situation
-    kept = tuple(other for other in others if not other.yields)
+    kept = tuple(other for other in others if not other.presses)
     if not any(math.dist(_now(other), here) < _NEAR_M for other in kept):
         return situation
     return dataclasses.replace(situation, neighbours=kept)

@@ -58,6 +58,7 @@ def neighbours_of(
             proven=t.proven,
             group=t.group if groups[t.group] >= _CROWD else "",
             growth_down_mps=t.past.growth_down_mps,
+            split=t.track_id != t.identity,
         )
         for t in tracks
     ]

@@ -58,6 +58,9 @@ _MOST = 1000
 """Most tracks, and most groups, that are remembered."""
 _FORGOTTEN_S = 60.0
 """A track that has used nothing is forgotten this long after it was last heard."""
+NEAR_M = 50.0
+"""A track that is first heard at most this far outside of its volume yields at first. An aircraft is received
+from farther away; a forged one that takes a new name each time begins beside us."""
 _SAY_S = 5.0
 """Least time between two texts about single tracks."""
 
@@ -144,7 +147,10 @@ class Allowances:
             known = places[other.adsb, other.track_id]
             if self._counts(now_s, known):
                 yields = known.yields(now_s) and not (other.crewed or known.stands(now_s))
-                found.append(msgspec.structs.replace(other, yields=True) if yields else other)
+                if yields:
+                    presses = known.presses or known.entered
+                    other = msgspec.structs.replace(other, yields=True, presses=presses)
+                found.append(other)
         return found
 
     def _met(self, now_s: float, key: Key, other: Neighbour) -> Remembered:
@@ -198,6 +204,9 @@ class Allowances:
                 continue
             if not known.latest.crewed and _is_inside(here, view):
                 inside.add(known)
+            fresh = now_s - known.first_s <= _NEW_S and not known.latest.split
+            if fresh and _is_inside(here, view, NEAR_M):
+                known.near, known.appeared_s = True, now_s
             if held and (view.conflict or view.active):
                 acting.append(_Acting(known, view.conflict))
         self._enter(now_s, inside)
@@ -343,11 +352,11 @@ class Allowances:
         self._told.append(Say(severity=Severity.WARNING, text=f"DMUCA: {text}"))
 
 
-def _is_inside(here: Vec3, view: TrackView) -> bool:
-    """Whether the aircraft is within the volume of a track."""
+def _is_inside(here: Vec3, view: TrackView, more_m: float = 0.0) -> bool:
+    """Whether the aircraft is within the volume of a track, or at most so far outside."""
     (n, e, d), (north, east, down) = view.position_ned_m, here
     scale = view.radius_m / view.height_m if view.height_m > 0.0 else VERTICAL_SCALE
-    return math.hypot(n - north, e - east, scale * (d - down)) < view.radius_m
+    return math.hypot(n - north, e - east, scale * (d - down)) < view.radius_m + more_m
 
 
 def _predicted(other: Neighbour) -> Vec3:

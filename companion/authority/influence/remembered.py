@@ -59,8 +59,10 @@ class Remembered:
     pressed_s: float = 0.0
     follows: bool = False
     appeared_s: float = -math.inf
-    """If it was inside its volume when it was first heard: when it was last there, unless it has been outside
-    for `_APPEARED_S`."""
+    """If it was first heard near us: when that was, or when it was last inside its volume, unless it has been
+    outside for `_APPEARED_S`."""
+    near: bool = False
+    """It was first heard near us (`allowance.NEAR_M`)."""
     entered: bool = False
     """It has been inside its volume."""
     reserved: bool = False
@@ -79,12 +81,13 @@ class Remembered:
         return self.pressed_s >= PRESSES_S or self.follows
 
     def appears(self, now_s: float) -> bool:
-        """Whether it has appeared inside its volume, and not been outside for long since."""
+        """Whether it has appeared near us, and not been outside its volume for long since."""
         return now_s - self.appeared_s <= _APPEARED_S
 
     def yields(self, now_s: float) -> bool:
         """Whether it is avoided only as far as all others allow."""
-        return self.presses or self.appears(now_s)
+        stale = self.latest.silent and (self.near or self.latest.group != "")
+        return self.presses or self.appears(now_s) or stale
 
     def renewed(self, now_s: float, latest: Neighbour, place: Vec3) -> Remembered:
         """The same track after a silence: another aircraft may have its name. What the name has used is kept.

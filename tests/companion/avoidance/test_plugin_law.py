@@ -55,8 +55,8 @@ def test_it_avoids():
 
 
 @pytest.mark.parametrize(("other_m", "kept"), [(None, ["A"]), (250.0, ["B"]), (350.0, ["A", "B"])])
-def test_those_that_yield_are_left_out_while_another_is_near(other_m, kept):
-    yielding = msgspec.structs.replace(HOVERING, yields=True)
+def test_those_that_press_are_left_out_while_another_is_near(other_m, kept):
+    yielding = msgspec.structs.replace(HOVERING, yields=True, presses=True)
     others = [] if other_m is None else [
         Neighbour("B", (0.0, other_m + 50.0, -50.0), (0.0, -50.0, 0.0), 1.0, 1.0)
     ]  # fmt: skip

@@ -63,6 +63,7 @@ class Sky:
             self.told += self.all.told()
             self.hold = self.hold or self.all.hold
         self.yielding = {o.track_id for o in admitted if o.yields}
+        self.pressing = {o.track_id for o in admitted if o.presses}
         return [o.track_id for o in admitted]
 
     def scopes(self):
@@ -141,7 +142,7 @@ def test_a_new_name_inside_takes_over_what_the_last_one_used():
 def test_a_track_that_presses_yields_unless_it_stood_there_before(stands):
     sky = Sky(ContainmentConfig())
     velocity = ZERO if stands else (0.7, 0.0, 0.0)
-    far = other("A", at=(70.0, 0.0, 0.0), velocity=ZERO)
+    far = other("A", at=(120.0, 0.0, 0.0), velocity=ZERO)
     sky.run(2.4, far, radius_m=60.0)
     assert sky.run(25.0, other("A", at=(5.0, 0.0, 0.0), velocity=velocity), radius_m=60.0) == ["A"]
     assert not sky.yielding
@@ -152,8 +153,8 @@ def test_a_track_that_presses_yields_unless_it_stood_there_before(stands):
     assert (("squeeze", True) in sky.scopes()) is not stands
 
 
-@pytest.mark.parametrize(("away_m", "yields"), [(7.0, True), (12.0, False)])
-def test_who_is_first_heard_inside_its_volume_yields(away_m, yields):
+@pytest.mark.parametrize(("away_m", "yields"), [(7.0, True), (59.0, True), (61.0, False)])
+def test_who_is_first_heard_near_us_yields(away_m, yields):
     """It is avoided all the same."""
     sky = Sky()
     assert sky.run(5.0, other("A", at=(away_m, 0.0, 0.0), velocity=ZERO)) == ["A"]
@@ -164,6 +165,34 @@ def test_who_is_first_heard_inside_its_volume_yields(away_m, yields):
     sky.run(16.0, other("A", at=(200.0, 0.0, 0.0), velocity=ZERO))
     sky.run(1.0, other("A", at=(7.0, 0.0, 0.0), velocity=ZERO))
     assert not sky.yielding
+
+
+def test_only_a_track_that_was_inside_or_follows_presses():
+    """A plug-in's law leaves those out that press; it avoids an aircraft that takes off not far away."""
+    sky = Sky()
+    sky.run(1.0, other("A", at=(5.0, 0.0, 0.0)), other("B", at=(40.0, 0.0, 0.0)))
+    assert sky.yielding == {"A", "B"}
+    assert sky.pressing == {"A"}
+
+
+def test_a_second_track_of_one_name_does_not_yield_because_it_is_near():
+    """A copy has made two of an aircraft that was received from far away. Either may be the true one."""
+    sky = Sky()
+    sky.run(1.0, other("A#2", at=(40.0, 0.0, 0.0), split=True), other("B#2", at=(40.0, 0.0, 0.0)))
+    assert sky.yielding == {"B#2"}
+
+
+@pytest.mark.parametrize(
+    ("near", "group", "yields"), [(True, "", True), (False, "alike", True), (False, "", False)]
+)
+def test_a_silent_track_yields_if_it_appeared_near_us_or_with_others(near, group, yields):
+    sky, place = Sky(), {"at": (40.0, 0.0, 0.0), "velocity": ZERO, "group": group}
+    if not near:
+        sky.run(2.4, other("A", at=(120.0, 0.0, 0.0), velocity=ZERO, group=group))
+    sky.run(18.0, other("A", **place))
+    assert not sky.yielding
+    assert sky.run(1.0, other("A", silent=True, **place)) == ["A"]
+    assert sky.yielding == ({"A"} if yields else set())
 
 
 def test_a_name_that_somebody_else_has_used_before_does_not_yield():
@@ -259,7 +288,7 @@ def test_crewed_traffic_has_a_total_of_its_own(then):
     sky = Sky(msgspec.structs.replace(SHORT, crewed_then=then))
     heli = other("H", velocity=(3.0, 0.0, 0.0), adsb=True, crewed=True)
     assert sky.run(49.0, heli) == ["H"]
-    assert sky.run(3.0, heli, other("A")) == (["H", "A"] if then == "hold" else ["A"])
+    assert sky.run(3.0, heli, other("A", at=(70.0, 0.0, 0.0))) == (["H", "A"] if then == "hold" else ["A"])
     assert sky.hold == ("crewed traffic has held us for 50 s: H" if then == "hold" else None)
     assert sky.scopes() == [("crewed", True)]
 
