@@ -10,9 +10,10 @@ Rules, each against one way around the others:
 - A track has `track_s`, of which it may be inside its volume around the aircraft for `inside_s`: an honest
   aircraft that is avoided does not stay there. Its memory outlives the track, so that silence renews nothing,
   and a track that is first heard inside its volume takes over what the last ones there have used.
-- A track that was first heard inside its volume, has been there for `remembered.PRESSES_S`, or follows the
-  aircraft (`following`), yields: it is avoided only as far as all others allow. Between both there may be no
-  way out, and the law would divide the violation between them.
+- A track that was first heard near the aircraft, has been inside its volume for `remembered.PRESSES_S`, or
+  follows the aircraft (`following`), yields: it is avoided only as far as all others allow. Between both
+  there may be no way out, and the law would divide the violation between them. A silent track of a crowd
+  yields, too: it is only predicted.
 - Tracks of one group have `group_s` together. Once that is spent, each of them has a quarter of `track_s`: a
   fake cannot spend the allowance of an honest aircraft by sounding like it.
 - All of them have `total_s` for the time in which the aircraft is held, the way back included. The last
