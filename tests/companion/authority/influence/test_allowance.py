@@ -85,7 +85,9 @@ def test_silence_and_another_flight_renew_nothing_but_time_does():
     sky.run(41.0, other("A"))
     sky.run(100.0)
     assert sky.run(1.0, other("A")) == []
-    sky.run(420.0)  # half of it is whole again
+    sky.run(380.0)
+    assert sky.run(0.2, other("A")) == []
+    sky.run(45.0)  # half of it is whole again
     assert sky.run(1.0, other("A")) == ["A"]
 
 
@@ -180,6 +182,16 @@ def test_a_second_track_of_one_name_does_not_yield_because_it_is_near():
     sky = Sky()
     sky.run(1.0, other("A#2", at=(40.0, 0.0, 0.0), split=True), other("B#2", at=(40.0, 0.0, 0.0)))
     assert sky.yielding == {"B#2"}
+    sky.run(1.0, other("C#2", at=(7.0, 0.0, 0.0), split=True))
+    assert sky.yielding == {"C#2"}
+
+
+def test_a_track_that_is_gone_is_not_charged():
+    """The law may still show it for a step."""
+    sky = Sky()
+    sky.run(1.0, other("A"))
+    sky.run(1.0)
+    assert not sky.all._places
 
 
 @pytest.mark.parametrize(
@@ -290,6 +302,10 @@ def test_crewed_traffic_has_a_total_of_its_own(then):
     assert sky.run(49.0, heli) == ["H"]
     assert sky.run(3.0, heli, other("A", at=(70.0, 0.0, 0.0))) == (["H", "A"] if then == "hold" else ["A"])
     assert sky.hold == ("crewed traffic has held us for 50 s: H" if then == "hold" else None)
+    what = "the vehicle is to hold" if then == "hold" else "not avoided any more"
+    assert [c.text for c in sky.told if isinstance(c, Say)] == [
+        f"DMUCA: crewed traffic has held us for 50 s: {what}"
+    ]
     assert sky.scopes() == [("crewed", True)]
 
 
