@@ -106,8 +106,12 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """Turn rate, positive to the right; for crewed traffic."""
     sigma_down_m: float = 0.0
     """Error of the difference of its height and ours, one standard deviation; for crewed traffic."""
+    together: bool = False
+    """True: it appeared in a burst of new tracks."""
     split: bool = False
     """True: another track had its name first. Either of them may be a copy."""
+    known_s: float = 0.0
+    """Time since it was first received."""
     yields: bool = False
     """True: it may be forged to press on us, and is avoided only as far as all others allow."""
     presses: bool = False

@@ -58,7 +58,9 @@ def neighbours_of(
             proven=t.proven,
             group=t.group if groups[t.group] >= _CROWD else "",
             growth_down_mps=t.past.growth_down_mps,
+            together=t.together,
             split=t.track_id != t.identity,
+            known_s=now_s - t.opened_s,
         )
         for t in tracks
     ]

@@ -10,10 +10,10 @@ Rules, each against one way around the others:
 - A track has `track_s`, of which it may be inside its volume around the aircraft for `inside_s`: an honest
   aircraft that is avoided does not stay there. Its memory outlives the track, so that silence renews nothing,
   and a track that is first heard inside its volume takes over what the last ones there have used.
-- A track that was first heard near the aircraft, has been inside its volume for `remembered.PRESSES_S`, or
-  follows the aircraft (`following`), yields: it is avoided only as far as all others allow. Between both
-  there may be no way out, and the law would divide the violation between them. A silent track of a crowd
-  yields, too: it is only predicted.
+- A track yields if it was first heard inside its volume, has been there for `remembered.PRESSES_S`, or
+  follows the aircraft (`following`): it is avoided only as far as all others allow. Between both there may be no way
+  out, and the law would divide the violation between them. So does one that appears near the aircraft not
+  long after another one did, which may be one transmitter with a new name, and a silent one of a burst.
 - Tracks of one group have `group_s` together. Once that is spent, each of them has a quarter of `track_s`: a
   fake cannot spend the allowance of an honest aircraft by sounding like it.
 - All of them have `total_s` for the time in which the aircraft is held, the way back included. The last
@@ -60,8 +60,10 @@ _MOST = 1000
 _FORGOTTEN_S = 60.0
 """A track that has used nothing is forgotten this long after it was last heard."""
 NEAR_M = 50.0
-"""A track that is first heard at most this far outside of its volume yields at first. An aircraft is received
-from farther away; a forged one that takes a new name each time begins beside us."""
+"""A track appears near us if it is first received at most this far outside of its volume."""
+_BATCH_S, _SERIAL_S = 3.0, 60.0
+"""Tracks that appear near us within `_BATCH_S` count as one. Those that do within `_SERIAL_S` after others
+yield: they may be one transmitter that takes new names. A single one may be an aircraft that took off."""
 _SAY_S = 5.0
 """Least time between two texts about single tracks."""
 
@@ -92,6 +94,8 @@ class Allowances:
         """Time of the last conflict with unproven traffic that is not crewed, and that is."""
         self._charged_s = self._squeezed_s = -math.inf
         """Times of the last charge, and of the last decision in which a track yielded to another."""
+        self._newest_s = self._newer_s = -math.inf
+        """When the latest tracks that appeared near us began to, and those before them."""
         self._said_s = -math.inf
         self._looked_s = -math.inf
         """Time of the latest decision."""
@@ -205,9 +209,8 @@ class Allowances:
                 continue
             if not known.latest.crewed and _is_inside(here, view):
                 inside.add(known)
-            fresh = now_s - known.first_s <= _NEW_S and not known.latest.split
-            if fresh and _is_inside(here, view, NEAR_M):
-                known.near, known.appeared_s = True, now_s
+            if self._is_serial(now_s, here, view, known):
+                known.appeared_s = now_s
             if held and (view.conflict or view.active):
                 acting.append(_Acting(known, view.conflict))
         self._enter(now_s, inside)
@@ -222,6 +225,17 @@ class Allowances:
         self.hold = self._why_hold(
             [known.latest for known, blocks in acting if blocks and self._counts(now_s, known)]
         )
+
+    def _is_serial(self, now_s: float, here: Vec3, view: TrackView, known: Remembered) -> bool:
+        """Whether a track appears near us not long after another one did."""
+        other = known.latest
+        if now_s - known.first_s > _NEW_S or other.known_s > _NEW_S or view.track_id != other.track_id:
+            return False
+        if other.split or not _is_inside(here, view, NEAR_M):
+            return False
+        if now_s - self._newest_s > _BATCH_S:
+            self._newest_s, self._newer_s = now_s, self._newest_s
+        return now_s - self._newer_s <= _SERIAL_S
 
     def _enter(self, now_s: float, inside: Iterable[Remembered]) -> None:
         """Let tracks that were first heard inside their volumes take over what others have used."""

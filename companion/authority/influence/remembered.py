@@ -59,10 +59,8 @@ class Remembered:
     pressed_s: float = 0.0
     follows: bool = False
     appeared_s: float = -math.inf
-    """If it was first heard near us: when that was, or when it was last inside its volume, unless it has been
-    outside for `_APPEARED_S`."""
-    near: bool = False
-    """It was first heard near us (`allowance.NEAR_M`)."""
+    """If it appeared inside its volume, or near us after others: when that was, or when it was last inside,
+    unless it has been outside for `_APPEARED_S`."""
     entered: bool = False
     """It has been inside its volume."""
     reserved: bool = False
@@ -81,12 +79,12 @@ class Remembered:
         return self.pressed_s >= PRESSES_S or self.follows
 
     def appears(self, now_s: float) -> bool:
-        """Whether it has appeared near us, and not been outside its volume for long since."""
+        """Whether it has appeared, and not been outside its volume for long since."""
         return now_s - self.appeared_s <= _APPEARED_S
 
     def yields(self, now_s: float) -> bool:
         """Whether it is avoided only as far as all others allow."""
-        stale = self.latest.silent and (self.near or self.latest.group != "")
+        stale = self.latest.silent and self.latest.together
         return self.presses or self.appears(now_s) or stale
 
     def renewed(self, now_s: float, latest: Neighbour, place: Vec3) -> Remembered:

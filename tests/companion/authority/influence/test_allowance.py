@@ -155,8 +155,8 @@ def test_a_track_that_presses_yields_unless_it_stood_there_before(stands):
     assert (("squeeze", True) in sky.scopes()) is not stands
 
 
-@pytest.mark.parametrize(("away_m", "yields"), [(7.0, True), (59.0, True), (61.0, False)])
-def test_who_is_first_heard_near_us_yields(away_m, yields):
+@pytest.mark.parametrize(("away_m", "yields"), [(7.0, True), (12.0, False)])
+def test_who_is_first_heard_inside_its_volume_yields(away_m, yields):
     """It is avoided all the same."""
     sky = Sky()
     assert sky.run(5.0, other("A", at=(away_m, 0.0, 0.0), velocity=ZERO)) == ["A"]
@@ -169,21 +169,64 @@ def test_who_is_first_heard_near_us_yields(away_m, yields):
     assert not sky.yielding
 
 
+@pytest.mark.parametrize(
+    ("pause_s", "away_m", "yields"),
+    [(57.0, 59.0, True), (62.0, 59.0, False), (10.0, 61.0, False), (1.0, 20.0, False), (4.0, 20.0, True)],
+)
+def test_who_appears_near_us_after_another_one_yields(pause_s, away_m, yields):
+    """A single aircraft near us may have taken off there, and a swarm is received within seconds."""
+    sky = Sky()
+    first = other("A", at=(40.0, 0.0, 0.0), velocity=ZERO)
+    sky.run(pause_s, first)
+    assert not sky.yielding
+    second = other("B", at=(away_m, 0.0, 0.0), velocity=ZERO)
+    sky.run(1.0, second)
+    assert sky.yielding == ({"B"} if yields else set())
+    sky.run(18.0, second)
+    assert not sky.yielding
+
+
+def test_one_that_is_received_for_long_does_not_appear_when_we_first_look():
+    """It lost its proof, or a sensor saw it meanwhile."""
+    sky = Sky()
+    sky.run(5.0, other("A", at=(40.0, 0.0, 0.0)))
+    sky.run(1.0, other("B", at=(40.0, 0.0, 0.0), known_s=2.5), other("C", at=(40.0, 0.0, 0.0), known_s=1.0))
+    assert sky.yielding == {"C"}
+
+
 def test_only_a_track_that_was_inside_or_follows_presses():
     """A plug-in's law leaves those out that press; it avoids an aircraft that takes off not far away."""
     sky = Sky()
+    sky.run(5.0, other("X", at=(40.0, 0.0, 0.0)))
     sky.run(1.0, other("A", at=(5.0, 0.0, 0.0)), other("B", at=(40.0, 0.0, 0.0)))
     assert sky.yielding == {"A", "B"}
     assert sky.pressing == {"A"}
 
 
-def test_a_second_track_of_one_name_does_not_yield_because_it_is_near():
+def test_a_second_track_of_one_name_yields_only_inside():
     """A copy has made two of an aircraft that was received from far away. Either may be the true one."""
     sky = Sky()
+    sky.run(5.0, other("X", at=(40.0, 0.0, 0.0)))
     sky.run(1.0, other("A#2", at=(40.0, 0.0, 0.0), split=True), other("B#2", at=(40.0, 0.0, 0.0)))
     assert sky.yielding == {"B#2"}
     sky.run(1.0, other("C#2", at=(7.0, 0.0, 0.0), split=True))
     assert sky.yielding == {"C#2"}
+
+
+def test_another_place_of_a_track_is_not_where_it_appeared():
+    sky = Sky()
+    sky.run(5.0, other("X", at=(40.0, 0.0, 0.0)))
+    sky.run(1.0, other("A", at=(200.0, 0.0, 0.0)), other(f"A{ASIDE}1", at=(40.0, 0.0, 0.0)))
+    assert not sky.yielding
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_a_silent_track_yields_if_it_appeared_in_a_burst(together):
+    sky = Sky()
+    sky.run(5.0, other("A", at=(120.0, 0.0, 0.0), together=together))
+    assert not sky.yielding
+    assert sky.run(1.0, other("A", at=(40.0, 0.0, 0.0), together=together, silent=True)) == ["A"]
+    assert sky.yielding == ({"A"} if together else set())
 
 
 def test_a_track_that_is_gone_is_not_charged():
@@ -192,19 +235,6 @@ def test_a_track_that_is_gone_is_not_charged():
     sky.run(1.0, other("A"))
     sky.run(1.0)
     assert not sky.all._places
-
-
-@pytest.mark.parametrize(
-    ("near", "group", "yields"), [(True, "", True), (False, "alike", True), (False, "", False)]
-)
-def test_a_silent_track_yields_if_it_appeared_near_us_or_with_others(near, group, yields):
-    sky, place = Sky(), {"at": (40.0, 0.0, 0.0), "velocity": ZERO, "group": group}
-    if not near:
-        sky.run(2.4, other("A", at=(120.0, 0.0, 0.0), velocity=ZERO, group=group))
-    sky.run(18.0, other("A", **place))
-    assert not sky.yielding
-    assert sky.run(1.0, other("A", silent=True, **place)) == ["A"]
-    assert sky.yielding == ({"A"} if yields else set())
 
 
 def test_a_name_that_somebody_else_has_used_before_does_not_yield():
