@@ -11,9 +11,10 @@ Rules, each against one way around the others:
   aircraft that is avoided does not stay there. Its memory outlives the track, so that silence renews nothing,
   and a track that is first heard inside its volume takes over what the last ones there have used.
 - A track yields if it was first heard inside its volume, has been there for `remembered.PRESSES_S`, or
-  follows the aircraft (`following`): it is avoided only as far as all others allow. Between both there may be no way
-  out, and the law would divide the violation between them. So does one that appears near the aircraft not
-  long after another one did, which may be one transmitter with a new name, and a silent one of a burst.
+  follows the aircraft (`following`): it is avoided only as far as all others allow. Between both there may
+  be no way out, and the law would divide the violation between them. So does one that appears near the
+  aircraft not long after another one did, which may be one transmitter with a new name, and a silent one of
+  a burst.
 - Tracks of one group have `group_s` together. Once that is spent, each of them has a quarter of `track_s`: a
   fake cannot spend the allowance of an honest aircraft by sounding like it.
 - All of them have `total_s` for the time in which the aircraft is held, the way back included. The last
