@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from companion.arrays import Floats
 from companion.avoidance.kernels.compiled import compiled
+from companion.avoidance.kernels.escape import escape
 from companion.avoidance.kernels.programs import half_space
 from companion.avoidance.kernels.settings import DEMAND, DMUCA, PAPER, Own, Settings
 from companion.avoidance.kernels.timelines import History, own_velocity_at
@@ -375,7 +376,7 @@ def _passes_right(wanted: Vector, away: Vector, velocity: Vector) -> bool:
 @compiled
 def neighbour_planes(
     neighbours: Floats, count: int, own: Own, wanted: Vector, settings: Settings, history: History,
-    samples: int, planes: Floats, first: int, seen: Floats, asked: Floats,
+    samples: int, planes: Floats, first: int, seen: Floats, asked: Floats, before: Vector,
 ) -> tuple[int, bool, bool]:  # fmt: skip
     """Predict the neighbours, report on them, and write their planes from row `first` on.
 
@@ -387,6 +388,7 @@ def neighbour_planes(
         seen: table of reports (`Seen`), without `active`; written.
         asked: shape (at least count, 2, 4): plane of each neighbour, and plane for the place where a silent
             track may have stopped (0 if there is none); written.
+        before: the last command, m/s.
 
     Returns:
         The row after the planes, whether there is a conflict, and whether one of those in conflict will pass
@@ -418,6 +420,12 @@ def neighbour_planes(
         on_right = on_right or (breaks and _passes_right(wanted, away, wish))
         relative = Relative(away, velocity, then, closing_d)
         plane = _plane_of(relative, volume, settings.overlap_s, other.share, most)
+        if other.relative != 0.0 and settings.law == DMUCA:
+            meeting = Vector(own.velocity.n - velocity.n, own.velocity.e - velocity.e, closing_d)
+            if _enters(away, meeting, volume, look_s):
+                turned = minus(before, wanted)
+                late, aside = escape(away, velocity, own, turned, volume.radius, settings)
+                plane = aside if late else plane
         _put_asked(asked, j, 0, plane, planes, first + j)
         for column in range(PLANE_COLUMNS):
             asked[j, 1, column] = 0.0

@@ -38,7 +38,7 @@ def asked_of(
     work.asked[:] = np.nan
     after, conflict, on_right = neighbour_planes(
         table, len(neighbours), own, k.Vector(*wanted), settings, history, len(EAST_THEN_NORTH),
-        work.planes, first, work.seen, work.asked,
+        work.planes, first, work.seen, work.asked, own.velocity,
     )  # fmt: skip
     assert np.isnan(work.planes[:first]).all()
     assert np.isnan(work.planes[after:]).all()
