@@ -116,6 +116,9 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """True: it may be forged to press on us, and is avoided only as far as all others allow."""
     presses: bool = False
     """True: it yields, and has been inside its volume or follows us."""
+    relative: bool = False
+    """True: its position was measured from ours. Then the error of our position plays no part, and `sigma_m`
+    is that of the measurement."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,7 +293,7 @@ class Law:
                 entries += (
                     age_s if age_s > 0.0 else 0.0, n.sigma_m, n.sigma_mps, n.growth_mps, n.silent, n.share,
                     n.vertical_known, n.crewed, n.growth_down_mps, n.turn_rps,
-                    n.sigma_down_m, n.yields,
+                    n.sigma_down_m, n.yields, n.relative,
                 )  # fmt: skip
         if len(usable) > len(self._table):
             self._room(2 * len(usable))

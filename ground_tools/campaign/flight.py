@@ -433,6 +433,7 @@ def _look(
             mind.turn_rps[i, j] if crewed else 0.0,
             adsb.SIGMA_DOWN_M if crewed else 0.0,
             0.0,
+            0.0,
         )  # fmt: skip
         k.put_other(mind.neighbours, count, known)
         mind.senders[count] = j

@@ -237,7 +237,7 @@ def _known(now: float, world: Conditions, i: int, row: int, craft: Fleet, tracks
         m[M_POSITION], m[M_POSITION + 1], m[M_POSITION + 2],
         m[M_VELOCITY], m[M_VELOCITY + 1], m[M_VELOCITY + 2],
         max(now + craft.clock[i] - m[M_TIME], 0.0), world.declared_m, world.sigma_mps, past.growth_mps,
-        1.0 if silent else 0.0, 0.5, 1.0, 0.0, past.growth_down_mps, 0.0, 0.0, 0.0,
+        1.0 if silent else 0.0, 0.5, 1.0, 0.0, past.growth_down_mps, 0.0, 0.0, 0.0, 0.0,
     )  # fmt: skip
 
 
@@ -252,7 +252,7 @@ def look_perfectly(
         j = links.other[e]
         known = k.Other(
             p[j, 0], p[j, 1], p[j, 2], v[j, 0], v[j, 1], v[j, 2],
-            0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+            0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         )  # fmt: skip
         if count < len(desk.neighbours) and matters(own, known, volume_of(known, own, law), law, scope):
             k.put_other(desk.neighbours, count, known)

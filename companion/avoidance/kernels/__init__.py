@@ -4,6 +4,7 @@
 - `settings`: what a decision takes and gives: settings, own state, memory, result.
 - `timelines`: the timed path, and the history of own velocities.
 - `neighbours`: the past of tracks, and the planes of neighbours.
+- `escape`: the plane of what a sensor sees too late for that.
 - `crewed`: the velocity that stays well clear of crewed traffic.
 - `powers`: what received powers say of reported positions.
 - `walls`, `fence_planes`: the walls of a fence, and their planes.

@@ -277,8 +277,9 @@ def decide(
             work.ahead,
         )  # fmt: skip
     after, conflict, on_right = neighbour_planes(
-        neighbours, count, own, wish, settings, history, samples, work.planes, first, work.seen, work.asked
-    )
+        neighbours, count, own, wish, settings, history, samples, work.planes, first, work.seen, work.asked,
+        before,
+    )  # fmt: skip
     last = put_last(neighbours, count, work.planes, first, after, work.asked)
     if conflict and not on_right:
         wish = _turned(wish, settings.right_rad)

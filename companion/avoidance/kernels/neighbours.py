@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from companion.arrays import Floats
 from companion.avoidance.kernels.compiled import compiled
+from companion.avoidance.kernels.escape import escape
 from companion.avoidance.kernels.programs import half_space
 from companion.avoidance.kernels.settings import DEMAND, DMUCA, PAPER, Own, Settings
 from companion.avoidance.kernels.timelines import History, own_velocity_at
@@ -121,6 +122,8 @@ class Other(NamedTuple):
     """Error of the height of crewed traffic beside ours."""
     yields: float
     """1: its planes are kept only as far as those of all others allow."""
+    relative: float
+    """1: its position was measured from ours, so that the error of ours plays no part."""
 
 
 class Seen(NamedTuple):
@@ -240,7 +243,7 @@ def other_at(neighbours: Floats, row: int) -> Other:
     r = neighbours[row]
     return Other(
         r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11], r[12], r[13], r[14],
-        r[15], r[16], r[17],
+        r[15], r[16], r[17], r[18],
     )  # fmt: skip
 
 
@@ -252,6 +255,7 @@ def put_other(neighbours: Floats, row: int, other: Other) -> None:
     r[6], r[7], r[8], r[9] = other.age_s, other.sigma_m, other.sigma_mps, other.growth_mps
     r[10], r[11], r[12], r[13] = other.silent, other.share, other.vertical_known, other.crewed
     r[14], r[15], r[16], r[17] = other.growth_down_mps, other.turn_rps, other.sigma_down_m, other.yields
+    r[18] = other.relative
 
 
 @compiled
@@ -294,16 +298,18 @@ def volume_of(other: Other, own: Own, settings: Settings) -> Volume:
     """The volume of a neighbour.
 
     Its radius is the separation plus two margins. The first is `sigmas` standard deviations of the present
-    relative position (from both positions, and from the sent velocity over the age). The second is the error
-    since the message due to the resolution of sent velocities or, if that is more, to the track's manoeuvres.
-    Manoeuvres sideways do not make it taller, and those in height not wider.
+    relative position (from both positions, and from the sent velocity over the age). Where the relative
+    position itself was measured, the own error is no part of it. The second is the error since the message
+    due to the resolution of sent velocities or, if that is more, to the track's manoeuvres. Manoeuvres
+    sideways do not make it taller, and those in height not wider.
     """
     radius, scale, horizon = settings.radius_m, settings.vertical, settings.horizon_s
     if other.crewed != 0.0:
         radius, scale = settings.crewed_m, settings.crewed_vertical
         horizon = settings.crewed_horizon_s
     drift = other.sigma_mps * other.age_s
-    sigma = math.sqrt(own.sigma_m**2 + other.sigma_m**2 + drift * drift)
+    own_m = 0.0 if other.relative != 0.0 else own.sigma_m
+    sigma = math.sqrt(own_m**2 + other.sigma_m**2 + drift * drift)
     radius += max(settings.least_margin_m, settings.sigmas * sigma)
     resolution = settings.quantum_mps * other.age_s
     ahead = settings.growth * (other.age_s + GROWTH_AHEAD_S)
@@ -370,7 +376,7 @@ def _passes_right(wanted: Vector, away: Vector, velocity: Vector) -> bool:
 @compiled
 def neighbour_planes(
     neighbours: Floats, count: int, own: Own, wanted: Vector, settings: Settings, history: History,
-    samples: int, planes: Floats, first: int, seen: Floats, asked: Floats,
+    samples: int, planes: Floats, first: int, seen: Floats, asked: Floats, before: Vector,
 ) -> tuple[int, bool, bool]:  # fmt: skip
     """Predict the neighbours, report on them, and write their planes from row `first` on.
 
@@ -382,6 +388,7 @@ def neighbour_planes(
         seen: table of reports (`Seen`), without `active`; written.
         asked: shape (at least count, 2, 4): plane of each neighbour, and plane for the place where a silent
             track may have stopped (0 if there is none); written.
+        before: the last command, m/s.
 
     Returns:
         The row after the planes, whether there is a conflict, and whether one of those in conflict will pass
@@ -413,6 +420,12 @@ def neighbour_planes(
         on_right = on_right or (breaks and _passes_right(wanted, away, wish))
         relative = Relative(away, velocity, then, closing_d)
         plane = _plane_of(relative, volume, settings.overlap_s, other.share, most)
+        if other.relative != 0.0 and settings.law == DMUCA:
+            meeting = Vector(own.velocity.n - velocity.n, own.velocity.e - velocity.e, closing_d)
+            if _enters(away, meeting, volume, look_s):
+                turned = minus(before, wanted)
+                late, aside = escape(away, velocity, own, turned, volume.radius, settings)
+                plane = aside if late else plane
         _put_asked(asked, j, 0, plane, planes, first + j)
         for column in range(PLANE_COLUMNS):
             asked[j, 1, column] = 0.0

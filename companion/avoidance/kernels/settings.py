@@ -16,7 +16,7 @@ DMUCA, PAPER, NONE = 0.0, 1.0, 2.0
 """Laws."""
 DEMAND = 2.0
 """Most that one neighbour's plane may require, as a multiple of the greatest speed."""
-OTHER_COLUMNS, SEEN_COLUMNS = 18, 9
+OTHER_COLUMNS, SEEN_COLUMNS = 19, 9
 """Number of fields of `Other` and of `Seen`."""
 STEPS, AHEAD_COLUMNS = 16, 8
 """Moments for which crewed traffic is predicted, and what is written of each (`crewed`)."""

@@ -49,6 +49,9 @@ _MOST_SCANS: Final = 4
 """Most scans that are used in one step."""
 _ERRORS: Final = 3.0
 """Deviations of a measurement that the margin contains, besides the width of the sectors."""
+_DRIFT_MPS: Final = 0.5
+"""How fast the error of the own position may change. By this alone it plays a part in what was measured from
+the own vehicle, some time ago."""
 _REFUSED_S, _SILENT_S, _AGAIN_S = 2.0, 3.0, 10.0
 """The pilot is told when nothing could be used for so long, when scans stop for so long, and how soon
 again."""
@@ -205,7 +208,7 @@ class SensedTraffic:
         here, sigma_m = own.position_ned_m(now_s), own.sigma_m
         found = [self._object(one, now_s, here, sigma_m) for one in self._confirmed(now_s)]
         return found + [
-            self._patch(patch, now_s, here, sigma_m)
+            self._patch(patch, now_s, here)
             for patch in self._surfaces.held.values()
             if patch.measured >= walls.CONFIRMED and 0.0 <= now_s - patch.at_s <= walls.EXPIRE_S
         ]
@@ -214,35 +217,42 @@ class SensedTraffic:
         return [one for one in self._objects.held if one.confirmed and 0.0 <= now_s - one.at_s <= one.kept_s]
 
     def _object(self, one: Followed, now_s: float, here: Vec3, own_sigma_m: float) -> Neighbour:
+        """One object. Its position is relative to ours, with two exceptions, whose margin holds the larger of
+        both errors, that of the measurement and that of the own position: an aircraft that the sensor follows
+        itself is reported by its latitude and longitude, and a sensed object that stands for a transmitted
+        track, too, is the same aircraft by inference only."""
         level = abs(one.position[2] - here[2]) <= _level_m(one.flat, one.distance_m)
         known = one.vertical_known and not one.tall and (not level or (one.moves and not one.flat))
         error_m = followed.TRACKED_SIGMA_M if one.tracked else self._error_m(one.distance_m)
+        relative = not one.tracked and one.name not in self._fusing.fused.values()
         return Neighbour(
             track_id=SENSED + one.name,
             position_ned_m=one.position,
             velocity_ned_mps=one.seen_from(here),
             age_s=now_s - one.at_s,
-            sigma_m=_sigma_m(one.across_m + _ERRORS * error_m, own_sigma_m),
-            sigma_mps=one.sigma_mps if one.moves else 0.0,
+            sigma_m=_sigma_m(one.across_m + _ERRORS * error_m, 0.0 if relative else own_sigma_m),
+            sigma_mps=max(one.sigma_mps, _DRIFT_MPS) if one.moves else _DRIFT_MPS,
             share=1.0,
             vertical_known=known,
             proven=True,
+            relative=relative,
         )
 
-    def _patch(self, patch: Patch, now_s: float, here: Vec3, own_sigma_m: float) -> Neighbour:
+    def _patch(self, patch: Patch, now_s: float, here: Vec3) -> Neighbour:
         place = patch.place
-        error_m = self._error_m(math.dist(place.position, here))
+        error_m = self._error_m(patch.distance_m)
         return Neighbour(
             track_id=f"{SENSED_WALL}{patch.name}",
             position_ned_m=place.position,
             velocity_ned_mps=(0.0, 0.0, 0.0),
             age_s=now_s - patch.at_s,
-            sigma_m=_sigma_m(place.across_m + _ERRORS * error_m, own_sigma_m),
-            sigma_mps=0.0,
+            sigma_m=_sigma_m(place.across_m + _ERRORS * error_m, 0.0),
+            sigma_mps=_DRIFT_MPS,
             share=1.0,
             vertical_known=abs(place.position[2] - here[2])
             > _level_m(place.flat, math.dist(place.position, here)),
             proven=True,
+            relative=True,
         )
 
     def _error_m(self, distance_m: float) -> float:
@@ -274,6 +284,7 @@ def _level_m(flat: bool, distance_m: float) -> float:
 def _sigma_m(margin_m: float, own_sigma_m: float) -> float:
     """Error (m) with which the law keeps at least a margin besides its separation.
 
-    The law adds the error of the own position. It plays no part in what is measured from the own vehicle.
+    Args:
+        own_sigma_m: error of the own position, if the law adds it.
     """
     return math.sqrt(max(0.0, (margin_m / SIGMAS) ** 2 - own_sigma_m**2))

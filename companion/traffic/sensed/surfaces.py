@@ -34,6 +34,8 @@ class Patch:
     cell: Cell
     at_s: float
     place: Seen
+    distance_m: float
+    """When it was measured."""
     measured: int = 1
 
     @property
@@ -65,7 +67,10 @@ class Surfaces:
             nearest.setdefault(_cell(place), place)
         for cell, place in nearest.items():
             before = self.held.get(cell)
-            self.held[cell] = Patch(cell, pose.at_s, place, 1 if before is None else before.measured + 1)
+            away = math.dist(place.position, pose.position)
+            self.held[cell] = Patch(
+                cell, pose.at_s, place, away, measured=1 if before is None else before.measured + 1
+            )
         held = [
             one
             for cell, one in self.held.items()

@@ -205,7 +205,7 @@ def _look(now: float, received: Received, own_down_m: float, heard: Floats, neig
         neighbours, 0,
         k.Other(
             p[0], p[1], down, v[0], v[1], v[2], max(age, 0.0), adsb.SIGMA_M, adsb.SIGMA_MPS,
-            0.0, 0.0, CREWED_SHARE, 1.0 if known else 0.0, 1.0, 0.0, heard[-1], sigma_down, 0.0,
+            0.0, 0.0, CREWED_SHARE, 1.0 if known else 0.0, 1.0, 0.0, heard[-1], sigma_down, 0.0, 0.0,
         ),
     )  # fmt: skip
     return 1

@@ -245,6 +245,8 @@ class Explainer:
         narrow = min(track.radius_m, scale * height)
         n, e, d = (p - age * v for p, v in zip(track.position_ned_m, track.velocity_ned_mps, strict=True))
         sigma = max(narrow - separation - QUANTUM_MPS * age, LEAST_MARGIN_M) / SIGMAS
+        # A margin below that of the own error alone shows that this plays no part.
+        relative = sigma < own_sigma_m
         wider, taller = track.radius_m - narrow, scale * height - narrow
         ahead = age + GROWTH_AHEAD_S
         return k.Other(
@@ -253,7 +255,7 @@ class Explainer:
             d,
             *track.velocity_ned_mps,
             age_s=age,
-            sigma_m=math.sqrt(max(sigma * sigma - own_sigma_m * own_sigma_m, 0.0)),
+            sigma_m=sigma if relative else math.sqrt(max(sigma * sigma - own_sigma_m * own_sigma_m, 0.0)),
             sigma_mps=0.0,
             growth_mps=(wider + QUANTUM_MPS * age) / ahead if wider > 0.0 else 0.0,
             silent=0.0,
@@ -265,6 +267,7 @@ class Explainer:
             turn_rps=0.0,
             sigma_down_m=SIGMA_DOWN_M if crewed else 0.0,
             yields=float(track.yields),
+            relative=float(relative),
         )
 
     def _crewed(self, track: TrackView) -> bool:

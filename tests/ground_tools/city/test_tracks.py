@@ -95,7 +95,7 @@ def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float) -> No
                     *(places[row] + [300.0, 0.0, -80.0]).tolist(),
                     *(rng.uniform(-8.0, 8.0, 3) * [1, 1, 0.1]).tolist(),
                     *(float(rng.uniform(0.0, 6.0)), 1.5, 0.3, float(rng.choice([0.0, 3.0]))),
-                    *(float(rng.random() < 0.2), 0.5, 1.0, 0.0, 0.2, 0.0, 0.0, 0.0),
+                    *(float(rng.random() < 0.2), 0.5, 1.0, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0),
                 ]
             )
             k.put_other(table, row, other)

@@ -22,6 +22,7 @@ FLOOR_D, CEILING_D = -20.0, -150.0
 def other(position: Any, velocity: Any = (0.0, 0.0, 0.0), **more: float) -> k.Other:
     values = {"age_s": 0.0, "sigma_m": 15.0, "sigma_mps": 1.5, "growth_mps": 0.0, "silent": 0.0, "share": 1.0}
     values |= {"vertical_known": 1.0, "crewed": 1.0, "growth_down_mps": 0.0, "turn_rps": 0.0, "yields": 0.0}
+    values["relative"] = 0.0
     return k.Other(*map(float, (*position, *velocity)), **{**values, "sigma_down_m": 15.0, **more})
 
 

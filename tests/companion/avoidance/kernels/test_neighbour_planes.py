@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.avoidance import kernels as k
-from companion.avoidance.kernels.neighbours import neighbour_planes
+from companion.avoidance.kernels.neighbours import neighbour_planes, volume_of
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
@@ -38,7 +38,7 @@ def asked_of(
     work.asked[:] = np.nan
     after, conflict, on_right = neighbour_planes(
         table, len(neighbours), own, k.Vector(*wanted), settings, history, len(EAST_THEN_NORTH),
-        work.planes, first, work.seen, work.asked,
+        work.planes, first, work.seen, work.asked, own.velocity,
     )  # fmt: skip
     assert np.isnan(work.planes[:first]).all()
     assert np.isnan(work.planes[after:]).all()
@@ -60,7 +60,7 @@ def other(position: Any, velocity: Any = (0.0, 0.0, 0.0), age_s: float = 0.0, **
     """Positions are given from ours."""
     values = {"sigma_m": 0.0, "sigma_mps": 0.0, "growth_mps": 0.0, "silent": 0.0, "share": 0.5}
     values |= {"vertical_known": 1.0, "crewed": 0.0, "growth_down_mps": 0.0, "turn_rps": 0.0}
-    values |= {"sigma_down_m": 0.0, "yields": 0.0, **more}
+    values |= {"sigma_down_m": 0.0, "yields": 0.0, "relative": 0.0, **more}
     n, e, d = (a + b for a, b in zip(position, PLACE, strict=True))
     return k.Other(n, e, d, *velocity, age_s, **values)
 
@@ -248,3 +248,17 @@ def test_the_side_of_the_place_where_a_silent_one_may_stand(east_m: float, right
     assert conflict
     assert seen.e - PLACE[1] < -20.0
     assert found is right
+
+
+@pytest.mark.parametrize(("own_m", "measured_m"), [(1.5, 0.7), (6.0, 0.7), (1.5, 4.0), (1.5, 0.1)])
+def test_what_was_measured_from_ours_errs_by_the_measurement_alone(own_m: float, measured_m: float) -> None:
+    settings = settings_of(AvoidanceConfig(), LimitsConfig(), PATH)
+    own = k.Own(k.Vector(*PLACE), k.Vector(2.0, 0.0, 0.0), own_m, NOW_S, NOW_S, math.inf, -math.inf)
+    volume = {
+        relative: volume_of(other((40.0, 0.0, 0.0), sigma_m=measured_m, relative=relative), own, settings)
+        for relative in (0.0, 1.0)
+    }
+    assert volume[1.0].radius == pytest.approx(settings.radius_m + max(2.0, 4.0 * measured_m))
+    assert volume[0.0].radius == pytest.approx(
+        settings.radius_m + max(2.0, 4.0 * math.hypot(measured_m, own_m))
+    )

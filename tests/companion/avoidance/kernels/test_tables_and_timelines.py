@@ -15,7 +15,7 @@ from companion.avoidance import kernels as k
 
 def test_rows_are_written_and_read_field_by_field() -> None:
     past = k.Past(*map(float, range(1, 18)))
-    other = k.Other(*map(float, range(1, 19)))
+    other = k.Other(*map(float, range(1, 20)))
     pasts, others = np.full((3, len(past)), -1.0), np.full((3, len(other)), -1.0)
     k.put_past(pasts, 1, tuple(past))
     k.put_other(others, 1, other)

@@ -3,6 +3,8 @@ that."""
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from companion.avoidance.law import ASIDE, Neighbour
@@ -97,3 +99,20 @@ def test_a_sensed_object_that_goes_gives_the_transmitted_track_back():
     assert len(agree(world, 2.6, heard(world, 25.5, 2.0))) == 1
     names = agree(world, 4.0, heard(world, 25.5, 2.0))
     assert names == ["OTHER"]
+
+
+def test_what_stands_for_a_transmitted_track_too_is_kept_away_from_by_the_larger_error():
+    """That it is one aircraft is an inference. Its sender's place beside ours holds the error of ours."""
+    world = hovering()
+    world.accuracy_m = 4.0
+    agree(world, 1.6, heard(world, 25.5, 2.0))
+    (alone,) = [other for other in world.fused() if other.track_id.startswith("sensed")]
+    assert alone.relative
+    agree(world, 3.0, heard(world, 25.5, 2.0))
+    (both,) = world.fused(heard(world, 25.5, 2.0))
+    assert not both.relative
+    assert math.hypot(both.sigma_m, world.own.sigma_m) == pytest.approx(4.0)
+    assert both.sigma_m == 0.0
+    (again,) = world.fused()
+    assert again.relative
+    assert again.sigma_m > 0.5

@@ -7,8 +7,9 @@ from itertools import pairwise
 
 import pytest
 
-from companion.avoidance.law import Neighbour
-from companion.config import SensedConfig
+from companion.avoidance.law import Law, Neighbour, Situation
+from companion.avoidance.trajectory import Trajectory
+from companion.config import AvoidanceConfig, LimitsConfig, SensedConfig
 from companion.events import AdsbVehicle, Attitude, ObstaclePoint, ObstacleScan, SensedAircraft
 from companion.events.sensed import NOTHING, UNKNOWN, is_sensed
 from companion.traffic.sensed import objects, surfaces
@@ -123,9 +124,65 @@ def test_the_margin_holds_the_sector_and_the_errors():
     wide = World(things=lambda _: [(30.0, 0.0, 0.2)], step_deg=45.0)
     for world in (narrow, wide):
         world.run(1.0)
-    assert one(narrow).sigma_m < 0.5
-    # A sector of 45 deg is 23 m wide there, 11.5 m to either side.
-    assert 4.0 * math.hypot(one(wide).sigma_m, wide.own.sigma_m) == pytest.approx(11.5 + 3.0 * 0.8, abs=1.0)
+    # A sector of 5 deg is 2.6 m wide there, 1.3 m to either side, and one of 45 deg 23 m.
+    assert 4.0 * one(narrow).sigma_m == pytest.approx(1.3 + 3.0 * 0.8, abs=0.1)
+    assert 4.0 * one(wide).sigma_m == pytest.approx(11.5 + 3.0 * 0.8, abs=1.0)
+
+
+def radius_of(world: World) -> float:
+    """Radius that the law keeps from the only thing that is seen."""
+    path = Trajectory([0.0, 100.0], [(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
+    here = world.own.position_ned_m(world.now_s)
+    given = Situation(
+        world.now_s, 50.0, here, world.own.velocity_ned_mps, world.own.sigma_m, world.fused(), None, None
+    )
+    (view,) = Law(AvoidanceConfig(), LimitsConfig(), path).decide(given).tracks
+    return view.radius_m
+
+
+@pytest.mark.parametrize("accuracy_m", [0.5, 1.0, 3.0])
+def test_the_error_of_the_own_position_is_no_part_of_what_is_measured_from_it(accuracy_m):
+    pole, wall = World(things=lambda _: [(12.0, 0.0, 0.2)]), World()
+    ahead = point(12.0, 0.0, 0.0)
+    for world in (pole, wall):
+        world.accuracy_m = accuracy_m
+    pole.run(1.0)
+    for _ in range(4):
+        wall.step(*[point(12.0, float(e), 0.0) for e in range(-6, 7, 2)], ahead, scans=False)
+    assert radius_of(pole) == pytest.approx(12.0, abs=0.05), "10 m, and the least margin of 2 m"
+    assert {other.relative for other in wall.seen()} == {True}
+    assert all(4.0 * other.sigma_m < 3.0 for other in wall.seen())
+
+
+def test_the_error_of_an_own_position_that_changes_counts_the_more_the_longer_a_thing_was_not_seen():
+    world = World(things=lambda _: [(12.0, 0.0, 0.2)])
+    world.run(1.0)
+    assert radius_of(world) == pytest.approx(12.0, abs=0.05)
+    world.run(2.5, scans=False)
+    other = one(world)
+    assert other.age_s == pytest.approx(2.55, abs=0.06)
+    # By half a metre each second; and the law adds its 0.2 m for each second of age.
+    drift_m = 0.5 * other.age_s
+    expected = 10.0 + 4.0 * math.hypot(other.sigma_m, drift_m) + 0.2 * other.age_s
+    assert radius_of(world) == pytest.approx(expected, abs=0.01)
+
+
+def test_an_aircraft_that_the_sensor_follows_is_told_by_latitude_and_longitude_and_errs_as_we_do():
+    world = World(accuracy_m=6.0)
+    for _ in range(4):
+        world.step(aircraft(world, 40.0, 0.0, 0.0), scans=False)
+    assert not one(world).relative
+    assert radius_of(world) == pytest.approx(10.0 + 4.0 * 6.0, abs=0.2)
+
+
+def test_the_error_of_a_place_of_a_wall_is_that_of_the_distance_from_which_it_was_seen():
+    world = World(velocity=(10.0, 0.0, 0.0))
+    places = [point(35.0, float(e), 0.0) for e in range(-4, 5, 2)]
+    for _ in range(3):
+        world.step(*places, scans=False)
+    before = world.seen()
+    world.run(2.0, scans=False)
+    assert [other.sigma_m for other in world.seen()] == [other.sigma_m for other in before]
 
 
 def test_the_height_of_a_scan_is_not_known_and_nothing_is_passed_above():

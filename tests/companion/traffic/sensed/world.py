@@ -52,6 +52,8 @@ class World:
     noise_m: float = 0.1
     now_s: float = 10.0
     seed: int = 1
+    accuracy_m: float = 1.0
+    """Of the own position."""
 
     def __post_init__(self) -> None:
         self.sensed = SensedTraffic(self.config, 1.0)
@@ -69,7 +71,7 @@ class World:
             ),
             GnssFix(
                 fix_type=3, lat_deg=lat, lon_deg=lon, alt_msl_m=alt, alt_ellipsoid_m=alt + 47.0,
-                horizontal_accuracy_m=1.0,
+                horizontal_accuracy_m=self.accuracy_m,
             ),
             VehicleTime(time_boot_s=boot_s, utc_s=1.75e9 + self.now_s),
             GlobalPosition(

@@ -159,9 +159,21 @@ def test_the_volume_of_a_track_is_the_one_that_was_logged(crewed, growth_mps, gr
     growths = (0.0, 0.0) if crewed else (growth_mps, growth_down_mps)
     there = k.Other(
         200, 0, -51, -5, 0, 0, 1.5, 3.0, 0.4, growths[0], 0.0, 0.5, 1.0, float(crewed), growths[1],
-        0.0, 0.0, 0.0,
+        0.0, 0.0, 0.0, 0.0,
     )  # fmt: skip
     flown = volume_of(there, own, settings)
     view = track(radius_m=flown.radius, height_m=flown.radius / flown.scale, age_s=1.5, adsb=crewed)
     again = Explainer(CONFIG)._neighbour(view, decision(view), 1.5)
+    assert volume_of(again, own, settings) == pytest.approx(flown)
+
+
+@pytest.mark.parametrize("sigma_m", [0.1, 0.7, 4.0])
+def test_the_volume_of_what_a_sensor_measured_is_the_one_that_was_logged(sigma_m):
+    """It may be smaller than the own error alone would make it."""
+    settings = settings_of(CONFIG.avoidance, CONFIG.limits, Trajectory([0.0, 1.0], [(0, 0, 0), (5, 0, 0)]))
+    own = k.Own(k.Vector(0, 0, -50), k.Vector(5, 0, 0), 2.0, 0.0, 0.0, math.inf, -math.inf)
+    there = k.Other(*[20.0, 0.0, -50.0, -5.0, 0.0, 0.0, 0.5, sigma_m, *[0.0] * 3, 1.0, *[0.0] * 6, 1.0])
+    flown = volume_of(there, own, settings)
+    view = track(radius_m=flown.radius, height_m=flown.radius / flown.scale, age_s=0.5)
+    again = Explainer(CONFIG)._neighbour(view, decision(view), 2.0)
     assert volume_of(again, own, settings) == pytest.approx(flown)
