@@ -68,10 +68,32 @@ def _waits(nodeid: str) -> bool:
 
 TOGETHER = "tests/ground_tools/atmc/"
 """Folder whose files stay in one worker: the first optimizer in a process loads PyTorch's compiler."""
-LONGEST = (TOGETHER, "integration/test_guard_and_fly", "integration/test_getting_started")
-"""What takes a minute or more, whatever the machine. Begun late, it would end last."""
-COMPILED_FIRST = ("ground_tools/campaign", "ground_tools/city", "ground_tools/test_cluster")
-"""Whose compiled functions may still be being compiled while the first tests run."""
+LONGEST = (
+    "integration/test_getting_started",
+    "integration/test_guard_and_fly",
+    "ground_tools/test_cluster",
+    "integration/test_fly",
+    "viewer/test_browser",
+    "test_a_companion_that_was_stopped",
+    "integration/test_swarm",
+)
+"""What waits longest, whatever the machine. Begun late, it would end last."""
+WAITING_FILES = (
+    "ground_tools/test_cluster",
+    "viewer/test_browser",
+    "commands/test_check_findings",
+    "runtime/test_troubles",
+    "examinations/test_soak_real",
+    "sitl_mocks/test_swarm_judge",
+    "tests/test_bench",
+)
+"""Files outside `tests/integration` that wait for most of their time."""
+MOST_WAITING = 3
+"""How many workers begin with what waits, of two or more."""
+COMPILED_FIRST = ("ground_tools/campaign", "ground_tools/city")
+"""Whose compiled functions may still be being compiled while the first tests run.
+
+The cluster, which needs them too, begins after what waits longer."""
 
 
 def _unit(nodeid: str) -> str:
@@ -81,26 +103,30 @@ def _unit(nodeid: str) -> str:
     return TOGETHER if nodeid.startswith(TOGETHER) else nodeid.partition("::")[0]
 
 
+def _unit_waits(unit: str) -> bool:
+    """Whether the tests of a unit keep a core idle for most of their time."""
+    return _waits(unit) or any(part in unit for part in WAITING_FILES)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A test that waits, to every three files that compute; many small files come last."""
+    """A unit that waits, to every three that compute; many small files come last."""
 
     def unit(item: pytest.Item) -> str:
         return _unit(item.nodeid)
 
-    def is_long(name: str) -> bool:
-        return any(part in name for part in LONGEST)
+    def length(name: str) -> int:
+        return next((n for n, part in enumerate(LONGEST) if part in name), len(LONGEST))
 
     def rank(name: str) -> int:
-        if "sitl_mocks" in name:
+        if name == TOGETHER or "sitl_mocks" in name:
             return 0
         if any(part in name for part in COMPILED_FIRST):
             return 2
         return 3 if "tests/companion" in name else 1
 
     units = list(dict.fromkeys(map(unit, items)))
-    waiting = [name for name in units if _waits(name) or is_long(name)]
-    waiting.sort(key=lambda name: not is_long(name))
-    computing = [name for name in reversed(units) if name not in set(waiting)]
+    waiting = sorted(filter(_unit_waits, units), key=length)
+    computing = [name for name in reversed(units) if not _unit_waits(name)]
     computing.sort(key=rank)
     turn = {name: 3 * n - 0.5 for n, name in enumerate(waiting)}
     turn |= {name: float(n) for n, name in enumerate(computing)}
@@ -109,13 +135,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Three more than cores, which are free while others wait."""
-    return len(os.sched_getaffinity(0)) + 3
+    """One more than cores for what computes, because that waits too at times, and three for what waits."""
+    return len(os.sched_getaffinity(0)) + 4
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """With `--dist loadfile`, tests that wait are spread one by one instead of file by file."""
+    """With `--dist loadfile`, tests that wait are spread one by one, and have workers of their own.
+
+    A worker is given its next unit before it has ended the one before. If any worker were given any unit,
+    files that compute would stand behind tests that wait, while a core is idle. Whoever finds no more of its
+    own kind takes the other.
+    """
     if config.getvalue("dist") != "loadfile":
         return None
     from xdist.scheduler import LoadFileScheduling
@@ -123,6 +154,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     class Spread(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             return _unit(nodeid)
+
+        def _assign_work_unit(self, node: Any) -> None:
+            waits = node in self.nodes[: min(MOST_WAITING, len(self.nodes) // 2)]
+            own = next((unit for unit in self.workqueue if _unit_waits(unit) == waits), None)
+            if own is not None:
+                self.workqueue.move_to_end(own, last=False)
+            super()._assign_work_unit(node)
 
     return Spread(config, log)
 
