@@ -210,7 +210,7 @@ class Allowances:
                 continue
             if not known.latest.crewed and _is_inside(here, view):
                 inside.add(known)
-            if self._is_serial(now_s, here, view, known):
+            if self._note_near(now_s, here, view, known):
                 known.appeared_s = now_s
             if held and (view.conflict or view.active):
                 acting.append(_Acting(known, view.conflict))
@@ -227,8 +227,8 @@ class Allowances:
             [known.latest for known, blocks in acting if blocks and self._counts(now_s, known)]
         )
 
-    def _is_serial(self, now_s: float, here: Vec3, view: TrackView, known: Remembered) -> bool:
-        """Whether a track appears near us not long after another one did."""
+    def _note_near(self, now_s: float, here: Vec3, view: TrackView, known: Remembered) -> bool:
+        """Note a track that appears near us; True if another one did not long before."""
         other = known.latest
         if now_s - known.first_s > _NEW_S or other.known_s > _NEW_S or view.track_id != other.track_id:
             return False
