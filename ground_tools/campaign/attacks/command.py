@@ -47,7 +47,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("--jobs", type=int, metavar="N", help="worker processes (default: one per core)")
     command.add_argument("--out", type=Path, metavar="FOLDER",
                          help="keep results in this folder, and do not repeat flights whose results are "
-                         "there; with worst: write each found case there")  # fmt: skip
+                         "there; with worst: write each found case there, too")  # fmt: skip
     command.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     command.add_argument("--of", action="append", choices=tuple(KINDS), metavar="KIND",
                          help="worst: kinds to search, may be repeated (default: free)")  # fmt: skip
@@ -110,6 +110,9 @@ def _run_worst(args: argparse.Namespace, seeds: Sequence[int], jobs: int) -> int
     items = [(_cell(args, kind), seed) for kind in args.of or ["free"] for seed in seeds]
     told = None if args.out is None else functools.partial(_keep, args.out)
     searches = [search.worst(cell, seed, args.harm, args.evaluations, told) for cell, seed in items]
+    if args.out is not None:
+        files = [_flown_file(args.out, cell, seed, args.harm) for cell, seed in items]
+        searches = [search.resumed(work, file) for work, file in zip(searches, files, strict=True)]
     results: list[search.Found] = []
     with progress("searches", len(items)) as advance:
         for _, found in rounds_in_parallel(search.fly, searches, jobs, Console(stderr=True)):
@@ -138,8 +141,20 @@ def _keep(folder: Path, found: search.Found) -> None:
         found=found.row,
         found_with=kept.software(),
     )
-    name = f"{found.cell.kind}-{found.cell.intruder}-{found.harm}-{found.seed}.json"
-    kept.write(folder / name, case)
+    kept.write(folder / f"{_search_name(found.cell, found.seed, found.harm)}.json", case)
+
+
+def _flown_file(folder: Path, cell: Cell, seed: int, harm: str) -> Kept[search.Flown]:
+    """Open the file with the flights of a search, by which it can be continued."""
+    made_with: dict[str, Any] = {
+        **msgspec.to_builtins(cell), "seed": seed, "harm": harm, "software": kept.software(),
+    }  # fmt: skip
+    path = folder / f"{_search_name(cell, seed, harm)}.jsonl"
+    return Kept(path, made_with, search.Flown, lambda flown: flown.number)
+
+
+def _search_name(cell: Cell, seed: int, harm: str) -> str:
+    return f"{cell.kind}-{cell.intruder}-{harm}-{seed}"
 
 
 def _cell(args: argparse.Namespace, kind: str) -> Cell:

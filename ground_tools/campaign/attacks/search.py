@@ -18,6 +18,7 @@ from ground_tools.campaign.attacks import flight
 from ground_tools.campaign.attacks.kinds import KINDS, Attack, attack_at, draw_attack
 from ground_tools.campaign.attacks.outcome import Row
 from ground_tools.campaign.attacks.scene import Cell
+from ground_tools.common.kept_lines import Kept
 
 Harm = Literal["separation", "held", "aside", "height", "fence"]
 HARMS: Final = ("separation", "held", "aside", "height", "fence")
@@ -28,6 +29,14 @@ _ALONE_M: Final = 1000.0
 
 Flight = tuple[Cell, int, Attack]
 """Encounter of a seed, and the attack that is flown in it."""
+
+
+class Flown(msgspec.Struct, frozen=True):
+    """Outcome of one flight of a search, as a results file keeps it."""
+
+    number: int
+    """Place of the flight in the search, from 0."""
+    row: Row
 
 
 class Found(msgspec.Struct, frozen=True):
@@ -105,6 +114,33 @@ def worst(
         options["seed"] += 1
     assert best is not None
     return best
+
+
+def resumed(
+    work: Generator[list[Flight], list[Row], Found], file: Kept[Flown]
+) -> Generator[list[Flight], list[Row], Found]:
+    """Take the outcomes that a results file has from there, and add those of the other flights to it.
+
+    A search depends only on its seed and the outcomes, so that one that was interrupted, or ended with fewer
+    evaluations, goes on where it was.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
+    number, rows = 0, None
+    while True:
+        try:
+            flights = next(work) if rows is None else work.send(rows)
+        except StopIteration as end:
+            found: Found = end.value
+            return found
+        numbers = range(number, number + len(flights))
+        if all(n in file.rows for n in numbers):
+            rows = [file.rows[n].row for n in numbers]
+        else:
+            rows = yield flights
+            file.add([Flown(n, row) for n, row in zip(numbers, rows, strict=True)])
+        number += len(flights)
 
 
 def fly(flight_: Flight) -> Row:
