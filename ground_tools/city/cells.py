@@ -83,16 +83,16 @@ class City(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """Outcome of one run, without its first `settle_s` where that says so."""
+    """Outcome of one run. Values that "count" leave out its first `settle_s`."""
 
     seed: int
     flights: int
-    """Flights of the demand. Each is one of the next five."""
+    """Flights of the demand: the sum of the next four numbers."""
     arrived: int
     in_the_air: int
-    """At the end."""
+    """Flights in the air at the end of the run."""
     waiting: int
-    """Due, but their place of departure was not free."""
+    """Flights that were due, but whose place of departure was not free."""
     not_due: int
     slots: int
     """Most aircraft that could be in the air at the same time."""
@@ -101,9 +101,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     losses: int
     """Losses of separation that count: a pair that comes nearer than `measure.SEPARATION_M`."""
     cruise_losses: int
-    """Those far from the beginning and the end of both paths."""
+    """Losses that count and are far from the beginning and the end of both paths."""
     collisions: int
-    """Those nearer than `COLLISION_M`."""
+    """Losses that count and in which the pair came nearer than `COLLISION_M`."""
     least_m: float | None
     """Least distance of any pair; None: none was ever near another."""
     deviation_m: float
