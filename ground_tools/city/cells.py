@@ -332,9 +332,3 @@ def kept(folder: Path, city: City) -> Kept[Row]:
     header = {**msgspec.to_builtins(city), "software": sources.digest(ROOTS)}
     header = msgspec.json.decode(msgspec.json.encode(header))
     return Kept(folder / f"{city.name}.jsonl", header, Row, attrgetter("seed"))
-
-
-def losses_per_h(rows: list[Row]) -> float:
-    """Losses of separation for each hour of flight; NaN without flight."""
-    hours = sum(row.flight_h for row in rows)
-    return sum(row.losses for row in rows) / hours if hours > 0.0 else math.nan
