@@ -67,7 +67,7 @@ def show(figures: dict[str, Any], console: Console) -> None:
         line(console, f"  {words}", "bold red" if headline.is_bad(words) else "")
     for words in headline.damage(figures):
         line(console, f"  {words}", "yellow")
-    for words in headline.about(figures):
+    for words in headline.notes(figures):
         line(console, f"  {words}", "dim")
     console.print()
     for title, rows in sections(figures):
