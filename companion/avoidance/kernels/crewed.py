@@ -85,7 +85,7 @@ _ANSWER_S = 0.5
 
 
 class _Way(NamedTuple):
-    """A velocity flown ahead; NED, m and m/s."""
+    """A candidate velocity, and how it is flown from now on; NED, m and m/s."""
 
     velocity: Vector
     answer_s: float
