@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 AnyFloats = NDArray[np.floating[Any]]
-"""Of any precision."""
+"""Numbers of any floating-point precision."""
 Float32s = NDArray[np.float32]
 Integers = NDArray[np.int64]
 Indices = NDArray[np.intp]

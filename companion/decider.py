@@ -148,7 +148,7 @@ class Decider:
         return [_named(c, self._sensed.fused) for c in told if not self._says_again(now_s, c)]
 
     def _says_again(self, now_s: float, command: Command) -> bool:
-        """Whether a text says of one more place of a wall what was said of another one."""
+        """Whether a text repeats, for another place of a wall, what was just said of one place."""
         if not isinstance(command, Say) or SENSED_WALL not in command.text:
             return False
         again = now_s - self._said_wall_s < _WALL_S
@@ -192,7 +192,7 @@ class Decider:
 
 
 def _named(command: Command, fused: Mapping[tuple[bool, str], str]) -> Command:
-    """An alert's end that says that its track is sensed from now on, if that is why it ended."""
+    """An alert that ends because its aircraft is avoided as a sensed track from now on, with that reason."""
     if not isinstance(command, AlertChanged) or command.level:
         return command
     seen_as = fused.get((False, command.track_id)) or fused.get((True, command.track_id))

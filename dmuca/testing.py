@@ -115,14 +115,14 @@ class PolicyConformance:
         return PluginPolicy(plugins.load(plugins.POLICIES, self.name))
 
     def test_it_chooses_an_allowed_action_whatever_it_sees(self) -> None:
-        """Any number of neighbours, and any set of allowed actions that is not empty."""
+        """This holds for any number of neighbours, and any set of allowed actions that is not empty."""
         policy, rng = self.policy(), np.random.default_rng(1)
         for _ in range(500):
             answer = policy.choose(*_observation(rng, len(policy.actions)))
             assert isinstance(answer, Choice), answer
 
     def test_if_one_action_is_allowed_it_chooses_that_one(self) -> None:
-        """Also where it would rather keep the action in use."""
+        """It does so even if it would rather keep the action in use."""
         policy, rng = self.policy(), np.random.default_rng(2)
         for index in range(len(policy.actions)):
             own, rows, allowed, current = _observation(rng, len(policy.actions))
@@ -310,7 +310,7 @@ class FirmwareConformance:
         assert not self.dialect().take_from & {FlightMode.STICKS, FlightMode.OTHER}
 
     def test_it_takes_the_place_of_its_firmware(self) -> None:
-        """And leaves it again."""
+        """It replaces the built-in dialect while it is in use, and no longer."""
         dialect = self.dialect()
         before = dict(DIALECTS)
         try:

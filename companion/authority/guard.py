@@ -190,7 +190,7 @@ class GuardPlan:
         here, item = own.position_ned_m(now_s), None if self._stale else self._item(own)
         height_m = self._height_m(own)
         if now_s - self._held_s <= _REJOIN_S:
-            # Or traffic that pushes the vehicle again and again would lower its leg each time.
+            # Otherwise traffic that pushes the vehicle again and again would lower its leg each time.
             height_m = min(max(height_m, self._leg_m[0]), self._leg_m[1])
         lowest_m = height_m
         path = _standing(here)

@@ -46,7 +46,7 @@ class State(enum.Enum):
     FAULT = "fault"
     """Not in control, because the own state is not usable or the loop was late."""
 
-    __hash__ = object.__hash__  # That of Enum is in Python, and the states are looked up at every step.
+    __hash__ = object.__hash__  # Enum.__hash__ is Python code, and slow for lookups at every step.
 
 
 class Trigger(enum.Enum):
@@ -69,7 +69,7 @@ class Trigger(enum.Enum):
     AWAY = "away"
     REGAINED = "regained"
 
-    __hash__ = object.__hash__  # As for `State`.
+    __hash__ = object.__hash__  # faster, as in `State`
 
 
 HOLDING = frozenset({State.GUARDING, State.AVOIDING, State.RECOVERING})

@@ -36,7 +36,7 @@ class LinkCounts(RemoteIdCounts):
     information_requests: int = 0
     """Requests of ground stations for messages and files about the companion."""
     information_refused: int = 0
-    """Of these requests, the damaged ones and those for something that does not exist."""
+    """Those of these requests that were damaged or asked for something that does not exist."""
     mode_requests: int = 0
     setpoints: int = 0
     setpoints_dropped: int = 0
@@ -51,4 +51,4 @@ class LinkCounts(RemoteIdCounts):
     sensed: int = 0
     """Attitudes and measurements of sensors aboard that were read."""
     sensed_dropped: int = 0
-    """Of these, more in a second than are read."""
+    """Attitudes and measurements that were not read, because too many came in one second."""

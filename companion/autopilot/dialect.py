@@ -44,7 +44,7 @@ DIALECTS: dict[Firmware, Dialect] = {
 }
 """The dialect of each firmware, from the file of its name. `companion.events.Firmware` is the registry."""
 _OWN = dict(DIALECTS)
-"""Those that are not of a plug-in."""
+"""The dialects that come with the companion, which a plug-in may replace for a time."""
 FIRMWARES = {dialect.autopilot: firmware for firmware, dialect in DIALECTS.items()}
 """MAV_AUTOPILOT values of the supported autopilots."""
 
@@ -147,8 +147,8 @@ def impossible_rearm(firmware: Firmware, flight: FlightConfig) -> str | None:
     """Why a pilot cannot give control back to the companion as `flight.rearm` says, in words; None when
     possible.
 
-    A firmware may refuse the mode that flies setpoints while none are streamed, and none are once the pilot
-    has taken over.
+    A firmware may refuse the mode that flies setpoints while no setpoints are streamed. The companion streams
+    none once the pilot has taken over.
     """
     dialect = DIALECTS[firmware]
     if flight.use != "fly" or flight.rearm != "mode" or not dialect.external_needs_setpoints:

@@ -172,7 +172,7 @@ def _checked(raw: bytes) -> Frame | None:
     """The parts of a frame of the length that its header announces; None if `is_whole` is false."""
     if raw[0] == MAGIC_V1:
         return cut(raw) if is_whole(raw) else None
-    # Most frames of every link: both functions in one, without calls.
+    # This repeats `is_whole` and `cut`, because most frames take this path and calls would cost time.
     _, size, _, _, _, system, component, low, high = _HEAD_V2.unpack_from(raw)
     message_id, stop = low | high << 16, size + 10
     extra = _CRC_EXTRA.get(message_id)

@@ -337,7 +337,7 @@ def settings_of(avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Tr
     crewed, crewed_vertical = separation_m(avoidance, True)
     turn = 0.5 * trajectory.largest_turn_mps() / limits.max_acceleration_mps2
     settings = k.Settings(
-        # A law of a file of its own begins with what the kernel decides without avoiding anybody.
+        # Any other law starts from the decision of a kernel that avoids nobody.
         law={"dmuca": k.DMUCA, "paper": k.PAPER}.get(avoidance.law, k.NONE),
         radius_m=radius,
         least_margin_m=0.0 if paper else LEAST_MARGIN_M,

@@ -59,7 +59,7 @@ class Broadcaster:
         self._monitor = SelfMonitor(config.remote_id.monitor_s)
         self._decided = _NOTHING
         self._floor: tuple[Mapping[str, int], frozenset[str], Decided] | None = None
-        """The last decision with what it was made of."""
+        """What the last decision was based on (requested rates, usable transports), and the decision."""
         self._started = False
         """Whether the broadcast has begun. It begins once a legal set of transports can be sent."""
         self._silent: frozenset[str] = frozenset()

@@ -45,7 +45,8 @@ _UTC_S: Final = (EPOCH_S + 1.0, EPOCH_S + 2.0**32 - VALID_S - 2.0)
 MAX_LINKS: Final = 5
 """Apex, RAA, HDA and our own need no more, and so many keep their periods."""
 _PACKS_HASHED: Final = 5
-"""So many hashes take seven pages. With Basic ID and Location the pack is then full."""
+"""Hashes in a Manifest that is sent in a pack: five take seven pages, and with Basic ID and Location the pack
+is full."""
 _ON_AIR_S: Final = 2.0
 """A transport on which no Location was sent for longer is not in use."""
 

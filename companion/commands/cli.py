@@ -145,9 +145,9 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _status(arguments: argparse.Namespace) -> int:
-    from companion.commands.status import watch
+    from companion.commands.status import show_state
 
-    return watch(arguments.socket, once=arguments.once, as_json=arguments.json)
+    return show_state(arguments.socket, once=arguments.once, as_json=arguments.json)
 
 
 def _replay(arguments: argparse.Namespace) -> int:

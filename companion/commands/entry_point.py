@@ -73,7 +73,7 @@ def run_command(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> 
 
 
 def _refuse(parser: argparse.ArgumentParser, argv: Sequence[str], unknown: Sequence[str]) -> NoReturn:
-    """End with the usage of the subcommand that was given what it does not know, instead of the root's."""
+    """End with an error about unknown arguments, and the usage of the subcommand that they were given to."""
     for word in argv:
         deeper = next((a for a in parser._actions if isinstance(a, argparse._SubParsersAction)), None)
         if deeper is None:

@@ -77,7 +77,7 @@ def ask(path: Path) -> Status:
         raise ConfigError(f"{path}: the answer is not the status of this version: {error}") from error
 
 
-def watch(given: Path | None, *, once: bool, as_json: bool) -> int:
+def show_state(given: Path | None, *, once: bool, as_json: bool) -> int:
     """Show the state: once, or once as one line of JSON, or repeatedly until interrupted.
 
     Returns:

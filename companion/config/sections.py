@@ -171,8 +171,8 @@ class ContainmentConfig(_Section, frozen=True):
     refill_s: Annotated[float, Meta(ge=60, le=86_400)] = 3600.0
     """Time in which a spent allowance is whole again."""
     then: Literal["resume", "hold"] = "resume"
-    """When `total_s` is spent. resume: fly on without avoiding them, and warn. hold: ask the vehicle to
-    hold, and leave it to the pilot."""
+    """What happens when `total_s` is spent. resume: fly on without avoiding them, and warn. hold: ask the
+    vehicle to hold, and leave it to the pilot."""
     crewed_side_m: Annotated[float, Meta(ge=30, le=100_000)] | None = None
     """`side_m` for crewed traffic (ADS-B), which may also press the aircraft down to the floor. None:
     1.25 times avoidance.crewed_horizontal_m, at least `side_m`."""

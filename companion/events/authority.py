@@ -62,8 +62,9 @@ class AllowanceSpent(Command, frozen=True):
     """Unproven traffic has spent an allowance for holding the aircraft (`authority.influence`)."""
 
     scope: Literal["track", "group", "low", "total", "crewed", "squeeze"]
-    """Whose: one track's, its group's, all but the reserve of the total, the total, crewed traffic's total.
-    "squeeze": tracks that press on the aircraft are avoided only as far as another allows."""
+    """Which allowance: that of one track, of its group, the total without its reserve ("low"), the total, or
+    that of crewed traffic. "squeeze" is none of them: tracks that press on the aircraft are avoided only as
+    far as another track allows."""
     track_id: str = ""
     """The track, the track of the group that was in conflict last, or the one that is avoided instead."""
     spent: bool = True

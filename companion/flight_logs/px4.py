@@ -65,7 +65,7 @@ _MODES = {
 }  # fmt: skip
 """Main and sub mode by navigation state, as `get_px4_custom_mode` gives them (px4_custom_mode.h)."""
 _NEW_MODES = {6: (3, 2), 8: (11, 0)}
-"""The same of states that before 1.14 meant something else."""
+"""Modes of the states that had another meaning before release 1.14."""
 _ALL_SPEEDS = ("vx", "vy", "vz")
 _FLAG_COORDS, _FLAG_ALTITUDE, _FLAG_HEADING, _FLAG_VELOCITY, _FLAG_CALLSIGN = 1, 2, 4, 8, 16
 _EARLIEST_UTC_S = 946_684_800.0

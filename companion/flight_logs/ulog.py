@@ -137,7 +137,7 @@ class UlogReader:
             size, kind = head
             content = self._at + _HEAD.size
             if kind == _DATA:
-                continue  # now it is whole in the buffer
+                continue  # the buffer now holds all of it, so it is read in the next round
             found = self._other(chr(kind), self._buffer[content : content + size])
             self._at = content + size
             self._counts.messages += 1
@@ -225,7 +225,7 @@ class UlogReader:
         return found >= 0
 
     def _other(self, kind: str, content: bytes) -> Logged | None:
-        """Take in what is no data; returns a text."""
+        """Take in a message other than data. Returns the text that it logs; None if it is no text."""
         try:
             match kind:
                 case "L":
@@ -244,7 +244,7 @@ class UlogReader:
                 case "O":
                     self._counts.dropouts += 1
                     self._counts.dropouts_s += struct.unpack_from("<H", content)[0] / 1e3
-                case "B" if not self._counts.messages:  # it is the first message, or none
+                case "B" if not self._counts.messages:  # only the first message may hold the flags
                     self._flags(content)
                 case _:
                     pass

@@ -59,8 +59,9 @@ _REPEATED_S = 5.0
 PLACE = "/"
 """Separates an address from the number of a further place at which it is heard."""
 _OFF_M, _TURNS_MPS2, _FASTEST_MPS = 300.0, 20.0, 600.0
-"""What a report may be off from where its aircraft would be: errors of both positions and of the age, and
-what it may have turned and accelerated meanwhile."""
+"""How far a report may be from the predicted place of its aircraft: `_OFF_M` for the errors of both positions
+and of the age, plus what the aircraft may have turned and accelerated since (`_TURNS_MPS2`), up to
+`_FASTEST_MPS`."""
 _APART_S = 1.0
 _STILL: Vec3 = (0.0, 0.0, 0.0)
 _NOT_CREWED = frozenset({14, 17, 18, 19})
@@ -187,8 +188,8 @@ class AdsbTraffic:
             self._make_room(now_s)
 
     def _name(self, icao: int, position: Vec3, told: tuple[object, ...], at_s: float) -> str:
-        """Name of the aircraft that a report is of: `4B1234`. If that one cannot be there, somebody else uses
-        its address, and both go on: `4B1234/2`."""
+        """Name of the aircraft that a report is about, such as `4B1234`. If that aircraft cannot be at the
+        reported place, another one uses its address and is named `4B1234/2`; both are kept."""
         free = 0
         for place in range(1, self._places + 2):
             name = f"{icao:06X}" if place == 1 else f"{icao:06X}{PLACE}{place}"

@@ -346,7 +346,7 @@ class FullTable:
     most: int
     left_out: int = 0
     threats: int = 0
-    """Of those left out, threats: there were more of them than the table holds."""
+    """How many of those left out were threats, of which there were more than the table holds."""
     _left_s: float = -math.inf
     _told_s: float = -math.inf
     _told: int = 0

@@ -41,7 +41,7 @@ _PRETENDED_MPS2, _PRETENDED_MPS = 12.0, 6.0
 """The same for a sender without a usable clock. A module that pretends to circle, in one of the kept
 captures, turns by 27 m/s in a second."""
 _GROWS_S = 2.0
-"""For this long, what an aircraft may do grows even if two use its name."""
+"""Limit of the time over which a possible manoeuvre is extrapolated if two senders use one name."""
 _CLOCK_MPS = 5.0
 """Metres for which a second of difference between two clocks counts, where several tracks fit."""
 _OLD_M = 1000.0

@@ -205,7 +205,7 @@ class Signatures:
         begin = evidence.not_before_utc_s
         if begin > utc_s + _AHEAD_S:
             return Verdict.EARLY
-        # What was signed by a clock that led, as ours did then, makes nothing old.
+        # A signature from ahead of now was accepted while our clock led. It makes no other one old.
         older = begin < source.signed_utc_s <= utc_s + _AHEAD_S
         elsewhere = self._proven_by.get(evidence.signature, source.key) != source.key
         return Verdict.REPLAYED if utc_s - begin > FRESH_S or older or elsewhere else None

@@ -111,7 +111,7 @@ class Table:
         if not twins:
             del self.by_identity[track.identity]
         elif track.hypothesis and len(twins) == 1:
-            # Nobody confirmed it: the other is alone, as it was before.
+            # The removed track was never confirmed, so the other one counts as alone again.
             twins[0].beside_s = -math.inf
 
     def feed(self, track: Track, key: str) -> None:

@@ -29,7 +29,8 @@ _QUANTUM_S = 0.1
 """Resolution of a timestamp."""
 _DECLARED_S = 2.0
 _LASTING_S = 1.3
-"""How much longer than a silence a contradicted state is believed, so that one lost message hides nobody."""
+"""A contradicted state is believed for this much longer than a track may be silent, so that one lost message
+hides nobody."""
 _BELIEFS = 4
 """Most states that a track is believed to be in. The least urgent one is given up."""
 HIGH_M = 10.0
@@ -85,7 +86,8 @@ _EXPECTED = 5.0
 """Half of the squared miss, in standard deviations, from which a message is a surprise. White noise reaches
 it once in 150 messages, and then exceeds it by 1 on average."""
 _WANDERS, _MOST_SURPRISE = 12.0, 6.0
-"""One message elsewhere makes two surprises, there and back; they do not suffice."""
+"""Sum of surprises above which a track wanders, and the most that one message adds. One message elsewhere
+makes two surprises, there and back, which do not suffice."""
 _FORGOTTEN = 0.01
 _LEAST_SIGMA_M = 2.0
 _DRAGGED = 2.0
@@ -148,7 +150,7 @@ class Track:
     hypothesis: bool = False
     """It was split from another track, and is not established yet."""
     group: str = ""
-    """What it appeared together with, or sounds like (`eviction`)."""
+    """Name of its group: "together" if it appeared in a burst, else what its sender sounds like."""
     allowance: int = 0
     """Number of the allowance that it shares with what sounds alike."""
     together: bool = False
@@ -166,7 +168,7 @@ class Track:
     present: Belief | None = None
     """The message that its state is from."""
     aside: tuple[Belief, ...] = ()
-    """Those that contradict the present one."""
+    """The `beliefs` that contradict `present`."""
     declared_s: float | None = None
     """Time of the last message that declared a velocity (our monotonic time)."""
     doubts: Doubts = field(default_factory=Doubts)

@@ -83,16 +83,16 @@ class City(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """Outcome of one run, without its first `settle_s` where that says so."""
+    """Outcome of one run. Values that "count" leave out its first `settle_s`."""
 
     seed: int
     flights: int
-    """Flights of the demand. Each is one of the next five."""
+    """Flights of the demand: the sum of the next four numbers."""
     arrived: int
     in_the_air: int
-    """At the end."""
+    """Flights in the air at the end of the run."""
     waiting: int
-    """Due, but their place of departure was not free."""
+    """Flights that were due, but whose place of departure was not free."""
     not_due: int
     slots: int
     """Most aircraft that could be in the air at the same time."""
@@ -101,9 +101,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     losses: int
     """Losses of separation that count: a pair that comes nearer than `measure.SEPARATION_M`."""
     cruise_losses: int
-    """Those far from the beginning and the end of both paths."""
+    """Losses that count and are far from the beginning and the end of both paths."""
     collisions: int
-    """Those nearer than `COLLISION_M`."""
+    """Losses that count and in which the pair came nearer than `COLLISION_M`."""
     least_m: float | None
     """Least distance of any pair; None: none was ever near another."""
     deviation_m: float
@@ -332,9 +332,3 @@ def kept(folder: Path, city: City) -> Kept[Row]:
     header = {**msgspec.to_builtins(city), "software": sources.digest(ROOTS)}
     header = msgspec.json.decode(msgspec.json.encode(header))
     return Kept(folder / f"{city.name}.jsonl", header, Row, attrgetter("seed"))
-
-
-def losses_per_h(rows: list[Row]) -> float:
-    """Losses of separation for each hour of flight; NaN without flight."""
-    hours = sum(row.flight_h for row in rows)
-    return sum(row.losses for row in rows) / hours if hours > 0.0 else math.nan

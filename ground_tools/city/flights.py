@@ -43,7 +43,7 @@ class Flights(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """One flight as somebody wants it."""
+    """A requested flight, before it has a number and settings of its law."""
 
     depart_s: float
     times: Floats

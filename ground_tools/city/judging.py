@@ -37,7 +37,7 @@ _compiled = compiled()
 
 
 class Judge(NamedTuple):
-    """What a threat is, as `eviction.Judgement` has it."""
+    """The criteria for a threat, which are those of `eviction.Judgement`."""
 
     radius_m: float
     scale: float
@@ -147,7 +147,7 @@ def give_up(
     now: float, world: Conditions, i: int, sent: Floats, who: int, craft: Fleet, tracks: Tracks,
     judge: Judge, standings: Integers, crowds: Integers,
 ) -> int:  # fmt: skip
-    """The track that aircraft i gives up for a newcomer, or NOBODY if that is the least important itself.
+    """The track that aircraft i gives up for a newcomer, or NOBODY if the newcomer is the least important.
 
     Args:
         sent: the newcomer's message.

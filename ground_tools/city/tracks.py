@@ -136,12 +136,12 @@ def _open(
 
 
 class Scope(NamedTuple):
-    """How far an aircraft's velocity may be from the present one, m/s."""
+    """Largest assumed differences (m/s) between an aircraft's present velocity and others of its own."""
 
     change: float
-    """For velocities that a decision considers."""
+    """Difference from velocities that a decision considers."""
     turned: float
-    """For own velocities at the times of messages."""
+    """Difference from own velocities at the times of received messages."""
 
 
 @_compiled
@@ -154,8 +154,8 @@ def everything(law: k.Settings) -> float:
 def certain(own: k.Own, law: k.Settings, decision: k.Decision, change: float) -> bool:
     """Whether a decision is the same with all neighbours that do not matter for this `Scope.change`.
 
-    The program adds one plane after the other, and each one leads farther away from the wish. So whatever it
-    considers is not farther from the wish than its result is.
+    The linear program adds one plane after the other, and each one moves the result farther away from the
+    wanted velocity. So no velocity that it considers is farther from it than the final result.
     """
     w, s, v = decision.wanted, decision.solved, own.velocity
     aside = math.sqrt((w.n - v.n) ** 2 + (w.e - v.e) ** 2 + (w.d - v.d) ** 2)

@@ -66,16 +66,16 @@ def _path(name: str, root: Path) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class _Module:
-    """What is read of a module's file."""
+    """Digest and imports of one module."""
 
     digest: str
-    """Of its code."""
+    """Digest of its code."""
     modules: tuple[str, ...]
-    """What it imports as `import module`, also inside functions, but not for type checkers."""
+    """Modules imported as `import module`, also inside functions, but not for type checkers."""
     names: tuple[tuple[str, str], ...]
-    """Likewise what it imports as `from module import name`: module and name."""
+    """Likewise module and name of each `from module import name`."""
     passed_on: tuple[tuple[str, str, str], ...]
-    """Of all that it imports as `from module import name as alias` at its top: alias, module and name."""
+    """Alias, module and name of each `from module import name as alias` at the top of the module."""
 
 
 @cache
@@ -145,7 +145,7 @@ def _running(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
 
 
 def _inside(node: ast.stmt) -> list[ast.stmt]:
-    """The statements directly inside of one. There are none in expressions."""
+    """The statements directly inside a statement. Expressions hold none, so they are not searched."""
     found: list[ast.stmt] = []
     for part in ("body", "orelse", "finalbody"):
         found += getattr(node, part, [])

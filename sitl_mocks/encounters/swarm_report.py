@@ -19,7 +19,6 @@ from sitl_mocks.encounters.choosing import choices_in_words, chosen_of
 from sitl_mocks.encounters.lockstep import uas_id_of
 from sitl_mocks.encounters.scenario_file import Scenario
 
-_GOOD_GAP_S = 0.1
 _WORST_GAP_S = 0.5
 _GOOD_SHARE = 0.999
 _UNHEARD = 3

@@ -39,16 +39,16 @@ Attitude = tuple[float, float, float]
 
 
 class Obstacle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Something that sends nothing. NED is relative to home."""
+    """An obstacle or aircraft that transmits nothing. NED is relative to home."""
 
     kind: Literal["pole", "wall", "aircraft"]
     at_ned_m: Vec3
-    """Where it stands, where the wall begins, or where the aircraft is at 0 s. The height of poles and walls
-    is `top_m`."""
+    """Position of a pole, of one end of a wall, or of an aircraft at 0 s. The height of poles and walls is
+    `top_m`."""
     to_ned_m: Vec3 | None = None
-    """Where the wall ends."""
+    """Other end of a wall; None for everything else."""
     velocity_ned_mps: Vec3 = (0.0, 0.0, 0.0)
-    """Of an aircraft, which flies straight."""
+    """Velocity of an aircraft, which flies straight."""
     radius_m: Annotated[float, Meta(gt=0, le=50)] = 0.5
     top_m: Annotated[float, Meta(gt=0, le=1000)] = 200.0
     """Height above home of the top of a pole or wall."""
@@ -64,7 +64,7 @@ class Obstacle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             raise ValueError("holds a value that is not finite")
 
     def place(self, now_s: float) -> Vec3:
-        """Where it is, or begins, at a time."""
+        """Position of a pole, of the first end of a wall, or of an aircraft at a time."""
         (n, e, d), (vn, ve, vd) = self.at_ned_m, self.velocity_ned_mps
         return n + vn * now_s, e + ve * now_s, d + vd * now_s
 
@@ -90,9 +90,9 @@ class SensorOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """scan: OBSTACLE_DISTANCE. points: OBSTACLE_DISTANCE_3D. tracks: ADSB_VEHICLE, with velocities."""
     range_m: Annotated[float, Meta(ge=1, le=600)] = 40.0
     fov_deg: Annotated[float, Meta(gt=0, le=360)] = 360.0
-    """Around the nose."""
+    """Horizontal field of view, centred on the nose."""
     vertical_deg: Annotated[float, Meta(gt=0, le=180)] = 40.0
-    """Above and below its plane together."""
+    """Vertical field of view, centred on the plane of the sensor."""
     step_deg: Annotated[float, Meta(ge=5, le=90)] = 5.0
     """Width of a sector of a scan."""
     rate_hz: Annotated[float, Meta(ge=0.5, le=50)] = 10.0
@@ -100,7 +100,7 @@ class SensorOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     bearing_sigma_deg: Annotated[float, Meta(ge=0, le=20)] = 0.5
     """Error of its mounting, drawn once."""
     miss: Annotated[float, Meta(ge=0, le=1)] = 0.02
-    """Share of measurements in which it misses a thing."""
+    """Share of measurements in which an obstacle is missed."""
 
 
 class Sensor:
@@ -157,7 +157,7 @@ class Sensor:
         return float(self._rng.random()) < self._options.miss
 
     def _shapes(self, now_s: float, position: Vec3, rows: _Rows) -> Iterator[tuple[list[Vec3], float, Vec3]]:
-        """Of each thing: the places (NED, m) that may be seen of it, their radius, and its velocity."""
+        """For each obstacle: its visible places (NED, m), their radius, and its velocity."""
         for one in self._obstacles:
             n, e, d = one.place(now_s)
             if one.kind == "aircraft":

@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from companion.radio.frames_io import FrameSender, radio_address
 from companion.remote_id.messages import Location, SelfId
 from sitl_mocks.air.server import MAX_CLIENTS, EtherServer, add_arguments, run
 from sitl_mocks.channel.simple import SimpleChannel
+from tests.support.waiting import PATIENCE_S, until
 
 PROGRAM = """
 import argparse, sys
@@ -30,7 +31,6 @@ parser = argparse.ArgumentParser()
 add_arguments(parser)
 sys.exit(run(parser.parse_args()))
 """
-GENEROUS_S = 30.0
 MESSAGES = (SelfId(description_type=0, text="survey"), Location(lat_deg=47.5, lon_deg=8.5))
 
 
@@ -46,14 +46,6 @@ def start(*arguments: str) -> tuple[subprocess.Popen[str], str]:
     line = process.stdout.readline()
     assert line.startswith("ether on 127.0.0.1:"), process.communicate()[1]
     return process, line.removeprefix("ether on ").strip()
-
-
-def until(condition: Callable[[], bool]) -> None:
-    """Wait for something that happens in another process."""
-    deadline = time.monotonic() + GENEROUS_S
-    while not condition():
-        assert time.monotonic() < deadline, "did not happen"
-        time.sleep(0.01)
 
 
 def answered(radio: EtherTransport) -> bool:
@@ -89,7 +81,7 @@ def test_two_clients_hear_each_other_and_the_air_ends_cleanly(number: signal.Sig
         for radio in radios.values():
             radio.close()
         process.send_signal(number)
-        out, err = process.communicate(timeout=GENEROUS_S)
+        out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     assert {(e.transport, e.address, len(e.messages)) for e in heard["b"]} == {
         ("wifi", radio_address("a"), 2)
@@ -125,7 +117,7 @@ def test_the_air_of_packets_lets_through_what_its_channel_does(tmp_path: Path) -
         for radio in radios.values():
             radio.close()
         process.send_signal(signal.SIGTERM)
-        out, err = process.communicate(timeout=GENEROUS_S)
+        out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     pair = json.loads(out.splitlines()[-1])["pairs"]["a>b"]
     assert pair["delivered"] >= 20
@@ -173,7 +165,7 @@ def clients(server: EtherServer) -> Iterator[list[socket.socket]]:
     for _ in range(3):
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         sock.connect(server.endpoint)
-        sock.settimeout(GENEROUS_S)
+        sock.settimeout(PATIENCE_S)
         sockets.append(sock)
     yield sockets
     for sock in sockets:

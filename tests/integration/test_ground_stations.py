@@ -24,11 +24,11 @@ from companion.autopilot.wire import MavlinkWriter
 from companion.config import Config, IdentityConfig, VehicleConfig
 from companion.events import Settings
 from companion.radio.ether.section import EtherRadio
+from tests.support.waiting import PATIENCE_S, until
 
 CONFIG = Config(identity=IdentityConfig(uas_id="OWN"), radio=(EtherRadio(address="127.0.0.1:1"),))
 FILES = {path: content.decode() for path, content in metadata_files(CONFIG).items()}
 VALUES = dict(zip(NAMES, (1.0, 5.0, 20.0, 5.0), strict=True))
-PATIENCE_S = 20.0
 
 
 class Aboard:
@@ -78,13 +78,6 @@ def aboard():
     companion.close()
 
 
-def wait(condition) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, "not within patience"
-        time.sleep(0.02)
-
-
 def test_mavsdk_reads_sets_and_learns_what_they_mean(aboard: Aboard, tmp_path: Path) -> None:
     mavsdk = pytest.importorskip("mavsdk", reason="mavsdk is not installed")
     from mavsdk.plugins.component_metadata import ComponentMetadata, MetadataType
@@ -96,7 +89,7 @@ def test_mavsdk_reads_sets_and_learns_what_they_mean(aboard: Aboard, tmp_path: P
         assert client.add_any_connection(f"udpout://127.0.0.1:{aboard.port}").name == "SUCCESS"
         system = client.first_autopilot(PATIENCE_S)
         assert system is not None
-        wait(lambda: 191 in system.component_ids())
+        until(lambda: 191 in system.component_ids())
 
         param = Param(system)
         # 4.1 selects it and reports UNKNOWN.
@@ -117,7 +110,7 @@ def test_mavsdk_reads_sets_and_learns_what_they_mean(aboard: Aboard, tmp_path: P
         for path, burst in zip(FILES, (False, True), strict=True):
             ended: list[FtpResult] = []
             files.download_async(path, str(tmp_path), burst, lambda r, *_, to=ended: to.append(r))
-            wait(lambda to=ended: to and to[-1] != FtpResult.NEXT)
+            until(lambda to=ended: to and to[-1] != FtpResult.NEXT)
             assert ended[-1] == FtpResult.SUCCESS
             assert (tmp_path / path).read_text() == FILES[path]
             assert files.are_files_identical(str(tmp_path / path), path)
@@ -126,7 +119,7 @@ def test_mavsdk_reads_sets_and_learns_what_they_mean(aboard: Aboard, tmp_path: P
         told: list[object] = []
         metadata.subscribe_metadata_available(lambda update, _: told.append(update))
         metadata.request_component(191)
-        wait(lambda: told)
+        until(lambda: told)
         assert metadata.get_metadata(191, MetadataType.PARAMETER).json_metadata == FILES["parameter.json"]
 
 
@@ -136,7 +129,7 @@ def station(aboard: Aboard):
         f"udpout:127.0.0.1:{aboard.port}", source_system=255, source_component=190, dialect="ardupilotmega"
     )
     connection.mav.heartbeat_send(6, 8, 0, 0, 4)
-    wait(lambda: aboard.link.vehicle is not None)
+    until(lambda: aboard.link.vehicle is not None)
     connection.target_system, connection.target_component = 1, 191
     yield connection
     connection.close()

@@ -8,11 +8,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
 from tests.support.place import HOME
+from tests.support.waiting import PATIENCE_S, until
 
 mavsdk = pytest.importorskip("mavsdk", reason="mavsdk is not installed")
 
@@ -24,7 +25,6 @@ server.add_arguments(parser)
 sys.exit(server.run(parser.parse_args()))
 """
 LAT, LON = HOME.lat_deg, HOME.lon_deg
-PATIENCE_S = 40.0
 
 
 class Served:
@@ -62,14 +62,6 @@ def served(request: pytest.FixtureRequest) -> Iterator[Served]:
     vehicle.kill()
 
 
-def wait(condition: Callable[[], bool]) -> None:
-    """Until it holds."""
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, "not within patience"
-        time.sleep(0.05)
-
-
 @pytest.mark.parametrize("served", ["px4", "ardupilot"], indirect=True)
 def test_mavsdk_flies_the_mock(served: Served, request: pytest.FixtureRequest) -> None:
     """Connect, telemetry, mission up and down, arm, take off, offboard velocity, mission, land."""
@@ -86,18 +78,18 @@ def test_mavsdk_flies_the_mock(served: Served, request: pytest.FixtureRequest) -
         telemetry.set_rate_position(10)
         telemetry.set_rate_position_velocity_ned(10)
         telemetry.set_rate_landed_state(5)
-        wait(lambda: math.isfinite(telemetry.position().latitude_deg))
+        until(lambda: math.isfinite(telemetry.position().latitude_deg))
         assert telemetry.position().latitude_deg == pytest.approx(LAT, abs=1e-6)
         assert telemetry.position().absolute_altitude_m == pytest.approx(400.0, abs=0.1)
-        wait(lambda: telemetry.landed_state() == LandedState.ON_GROUND)
+        until(lambda: telemetry.landed_state() == LandedState.ON_GROUND)
         assert not telemetry.armed()
 
         raw = _exchange_mission(system, ardupilot)
         _take_off(system, telemetry)
         _fly_offboard(system, telemetry)
         raw.start_mission()
-        wait(lambda: telemetry.flight_mode() == FlightMode.MISSION)
-        wait(lambda: raw.mission_progress().current >= (2 if ardupilot else 1))
+        until(lambda: telemetry.flight_mode() == FlightMode.MISSION)
+        until(lambda: raw.mission_progress().current >= (2 if ardupilot else 1))
     left = served.end()
     assert left["armed"] is True
     assert left["mode"] == "mission"
@@ -136,10 +128,10 @@ def _take_off(system: object, telemetry: object) -> None:
     action = Action(system)
     action.set_takeoff_altitude(5.0)
     action.arm()
-    wait(lambda: telemetry.armed())
+    until(lambda: telemetry.armed())
     action.takeoff()
-    wait(lambda: telemetry.position().relative_altitude_m > 4.5)
-    wait(lambda: telemetry.landed_state() == LandedState.IN_AIR)
+    until(lambda: telemetry.position().relative_altitude_m > 4.5)
+    until(lambda: telemetry.landed_state() == LandedState.IN_AIR)
 
 
 def _fly_offboard(system: object, telemetry: object) -> None:
@@ -151,9 +143,9 @@ def _fly_offboard(system: object, telemetry: object) -> None:
     time.sleep(0.3)
     offboard.start()
     offboard.set_velocity_ned(VelocityNedYaw(3.0, -1.0, 0.0, 0.0))
-    wait(lambda: telemetry.flight_mode() == FlightMode.OFFBOARD)
+    until(lambda: telemetry.flight_mode() == FlightMode.OFFBOARD)
     # PX4 flies 80 to 87 % of what it is asked.
-    wait(lambda: telemetry.position_velocity_ned().velocity.north_m_s > 2.3)
+    until(lambda: telemetry.position_velocity_ned().velocity.north_m_s > 2.3)
     assert telemetry.position_velocity_ned().velocity.east_m_s == pytest.approx(-0.9, abs=0.3)
     offboard.stop()
-    wait(lambda: telemetry.flight_mode() != FlightMode.OFFBOARD)
+    until(lambda: telemetry.flight_mode() != FlightMode.OFFBOARD)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+
+import pytest
 
 from companion import plugins
 
@@ -120,6 +122,17 @@ def forget(*names: str) -> None:
     for name in names:
         sys.modules.pop(name, None)
     importlib.invalidate_caches()
+
+
+def installed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, install_it: Callable[[Path], None]
+) -> Iterator[Path]:
+    """Body of a fixture: the distribution `name` is installed in `folder` while the test runs."""
+    monkeypatch.syspath_prepend(str(folder))
+    forget(name)
+    install_it(folder)
+    yield folder
+    forget(name)
 
 
 def laws(folder: Path, name: str = "plugged_laws") -> None:

@@ -51,9 +51,9 @@ HELD_S = 60.0
 _STEP_S = 1.0
 """Most time that is charged for one decision."""
 _SQUEEZED_S = 15.0
-"""That a track yields to another is told again when it has not for this long."""
+"""Yielding is told again only after this long without a decision in which a track yielded."""
 _SILENT_S = 2.0
-"""A track that was not there for longer than this is taken for another one, whatever its name."""
+"""A track that was away for longer than this counts as another one when its name is heard again."""
 _NEW_S, _HEIR_S = 2.0, 15.0
 """A track is new for `_NEW_S`. It takes over what tracks have used that were heard within `_HEIR_S`."""
 _MOST = 1000
@@ -96,7 +96,7 @@ class Allowances:
         self._charged_s = self._squeezed_s = -math.inf
         """Times of the last charge, and of the last decision in which a track yielded to another."""
         self._newest_s = self._newer_s = -math.inf
-        """When the latest tracks that appeared near us began to, and those before them."""
+        """When the newest batch of tracks (`_BATCH_S`) began to appear near us, and the batch before it."""
         self._said_s = -math.inf
         self._looked_s = -math.inf
         """Time of the latest decision."""

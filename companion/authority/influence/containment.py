@@ -134,7 +134,7 @@ class Containment:
         self._wide = area_around(places, self._crewed_side_m)
 
     def _needs_wide(self, now_s: float, here: _Place, height_m: float) -> bool:
-        """Whether the volume for crewed traffic is in force: until the aircraft is back in the other one."""
+        """Whether the volume for crewed traffic is in force, which lasts until we are back in the other."""
         if now_s - self._crewed_s < _CREWED_S:
             return True
         if not self._is_wide:

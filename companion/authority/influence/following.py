@@ -21,9 +21,9 @@ from companion.avoidance.law import Neighbour
 from companion.geometry import Vec3
 
 PUSHED_M = 10.0
-"""How far we must have been pushed, and how far it must be from where it would be."""
+"""How far we must have been pushed, and how far a track must be from its prediction, if it is to follow."""
 _HEIR_S = 15.0
-"""A silent track is predicted for so long; meanwhile another name may go on where it was."""
+"""A silent track is predicted for this long, in which a track with another name may take its place."""
 _LASTS_S = 1.0
 """Time for which a track must have followed; one message is no evidence."""
 _MOST = 32
@@ -143,8 +143,8 @@ class Followers:
             self._conflicts[object()] = self._conflicts.pop(key)
 
     def _earlier(self, now_s: float, heir: _Conflict, mps: Vec3) -> _Conflict | None:
-        """The conflict that goes on under another name: a track that is not received any more had this place
-        beside us shortly before. One that is received still, and an aircraft at its place, are two."""
+        """The earlier conflict that this one continues under another name. Its track had the same place
+        beside us and has fallen silent since; a track that is still received cannot be the same aircraft."""
         for found in self._conflicts.values():
             gone = found.silent or now_s - found.seen_s > _LASTS_S
             near = math.dist(heir.beside, found.beside) <= PUSHED_M

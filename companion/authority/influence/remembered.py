@@ -59,14 +59,14 @@ class Remembered:
     pressed_s: float = 0.0
     follows: bool = False
     appeared_s: float = -math.inf
-    """If it appeared inside its volume, or near us after others: when that was, or when it was last inside,
+    """When it appeared inside its volume, or near us after other tracks; then, when it was last inside,
     unless it has been outside for `_APPEARED_S`."""
     entered: bool = False
     """It has been inside its volume."""
     reserved: bool = False
     """It had used little when only the last quarter of the total was left."""
     chases: bool = False
-    """It has moved while it pressed. If it stands later, it is because the aircraft stands."""
+    """It has moved while it pressed. If it stands still later, that is only because our aircraft does."""
 
     @property
     def spent(self) -> bool:

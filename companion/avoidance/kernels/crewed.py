@@ -85,7 +85,7 @@ _ANSWER_S = 0.5
 
 
 class _Way(NamedTuple):
-    """A velocity flown ahead; NED, m and m/s."""
+    """A candidate velocity, and how it is flown from now on; NED, m and m/s."""
 
     velocity: Vector
     answer_s: float
@@ -144,8 +144,8 @@ def turn_rate(rate: float, before: Triple, now: Triple, passed_s: float) -> floa
 
 @compiled
 def _predict(other: Other, own_d: float, ahead: Floats) -> None:
-    """Write where an aircraft will be at each of the moments: north, east, down, and the weight of that it
-    has flown on, the errors then, otherwise, and in height."""
+    """Write a prediction of an aircraft for each moment: north, east and down; the probability that it flies
+    on as it does now; the horizontal error if it does and if it does not; and the error in height."""
     speed = math.sqrt(other.vn * other.vn + other.ve * other.ve)
     heading = math.atan2(other.ve, other.vn)
     turn_rps = math.copysign(max(abs(other.turn_rps) - TURN_NOISE_RPS, 0.0), other.turn_rps)
@@ -250,7 +250,7 @@ def _within(aside: float, above: float, radius: float, height: float, at: Floats
 
 @compiled
 def _place(way: _Way, t: float, view: _View) -> Vector:
-    """Where a way leads within a time."""
+    """Position that a way reaches after a time (s)."""
     own, follow = view.own, view.follow
     before, after = min(t, way.answer_s), max(t - way.answer_s, 0.0)
     point, left = own.position, 0.0

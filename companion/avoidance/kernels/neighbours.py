@@ -53,7 +53,7 @@ GAP_MEMORY_S = 60.0
 PASSING_M = 5.0
 """Another aircraft that passes by more than this to the right of us passes on our right."""
 NEVER_MPS = 1e6
-"""No velocity is so great."""
+"""A speed that no aircraft reaches."""
 STOPS_S = 1.0
 """A silent track is assumed to stand where it would have been this long after its last message."""
 
@@ -169,7 +169,7 @@ class Relative(NamedTuple):
 
 @compiled
 def _growth(before: float, passed: float, off: float, usual: float) -> float:
-    """The growth after a deviation `off` (m) in `passed` (s), of which `usual` (m) does not count."""
+    """The growth after a deviation of `off` (m) in `passed` (s). Noise and giving way explain `usual` (m)."""
     news = min(GROWTH_FACTOR * max(off - usual, 0.0) / passed, GROWTH_MOST_MPS)
     return max(before * math.exp(-passed / GROWTH_MEMORY_S), news)
 
@@ -412,7 +412,7 @@ def neighbour_planes(
         seen[j, 2] = own.position.d + away.d
         seen[j, 3], seen[j, 8] = volume.radius, volume.radius / volume.scale
         seen[j, 5], seen[j, 6] = t, math.sqrt(near2)
-        if other.crewed != 0.0 and settings.law == DMUCA:  # `crewed` has chosen; no plane is asked for
+        if other.crewed != 0.0 and settings.law == DMUCA:  # `crewed` keeps clear of it, without a plane
             seen[j, 4] = 0.0
             _ask_nothing(asked, j, planes, first + j)
             continue

@@ -24,18 +24,18 @@ class Asked(NamedTuple):
 
     planes: Floats
     hard: int
-    """Number of the hard ones, which come first."""
+    """Number of hard planes, which come first."""
     last: int
-    """Row of the first one that is kept only as far as all before it allow."""
+    """Row of the first plane that is kept only as far as all planes before it allow."""
     rows: int
-    """Number of all."""
+    """Number of all planes."""
     scratch: Floats
-    """As large as `planes`."""
+    """Working memory, as large as `planes`."""
 
 
 @compiled
 def put_last(neighbours: Floats, count: int, planes: Floats, first: int, last: int, asked: Floats) -> int:
-    """Move the planes of those that yield behind the others. Returns the first row of theirs.
+    """Move the planes of neighbours that yield behind all others. Returns the first row of the moved ones.
 
     Args:
         neighbours, count: table of neighbours, and how many of its rows count.

@@ -110,7 +110,7 @@ class Workspace(NamedTuple):
 
     planes: Floats
     scratch: Floats
-    """As large as `planes`."""
+    """Working memory, as large as `planes`."""
     seen: Floats
     """Report on each neighbour, with the columns of `Seen`."""
     asked: Floats

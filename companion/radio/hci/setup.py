@@ -30,7 +30,7 @@ _SCAN_INTERVAL: Final = 172
 """107.5 ms. This does not divide a second, so a sender at a whole rate in Hz cannot always fall into the same
 gap."""
 _HALF_WINDOW: Final = _SCAN_INTERVAL // 2
-"""With two PHYs each gets half of the time."""
+"""Scan window if two PHYs are scanned, each for half of the time."""
 
 _MISSING: Final = f"{NAMES[BLE5]} is missing"
 

@@ -96,7 +96,7 @@ class Followed:
     across_m: float
     """Half the width within which it lies."""
     distance_m: float
-    """When it was last measured."""
+    """Distance from us at its last measurement."""
     flat: bool
     tall: bool
     vertical_known: bool
@@ -187,7 +187,7 @@ class Objects:
         """Take in what one component saw at a time.
 
         Args:
-            view: what it says of objects that it did not see; None: nothing.
+            view: whether the scan sees past a known object that it did not report; None if that is not known.
         """
         if len(places) > MOST:
             places = sorted(places, key=lambda place: math.dist(place.position, pose.position))[:MOST]

@@ -40,7 +40,8 @@ from companion.traffic.sensed.seen import Seen, View, sight_of_points, sight_of_
 from companion.traffic.sensed.surfaces import Patch, Surfaces
 
 LEVEL_M: Final = 10.0
-"""What stands within this height of ours is passed to the side only: how tall it is, is not known."""
+"""Obstacles within this height of ours are passed to the side only, because it is not known how tall they
+are."""
 _LEANS: Final = 0.15
 """Share of the distance by which the plane of a scan may miss the height of what it sees."""
 MOST_SPAN_S: Final = 0.2
@@ -53,8 +54,8 @@ _DRIFT_MPS: Final = 0.5
 """How fast the error of the own position may change. By this alone it plays a part in what was measured from
 the own vehicle, some time ago."""
 _REFUSED_S, _SILENT_S, _AGAIN_S = 2.0, 3.0, 10.0
-"""The pilot is told when nothing could be used for so long, when scans stop for so long, and how soon
-again."""
+"""Time without usable measurements, and time without scans, after which the pilot is told; and least time
+between two such texts."""
 
 
 @dataclass(slots=True)

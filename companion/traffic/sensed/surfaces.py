@@ -35,7 +35,7 @@ class Patch:
     at_s: float
     place: Seen
     distance_m: float
-    """When it was measured."""
+    """Distance from us when it was measured."""
     measured: int = 1
 
     @property

@@ -55,8 +55,8 @@ def first_inside(relative: Floats, step_s: float, volume: Volume) -> float | Non
 
 
 def _within(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
-    """Where a s^2 + 2 b s + c is below 0, with a from 0: from and to. From infinity to minus infinity where
-    it nowhere is."""
+    """The interval of s in which a s^2 + 2 b s + c is negative, for a >= 0. If it never is, the interval is
+    empty: from infinity to minus infinity."""
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(b * b - a * c)
         low, high = (-b - root) / a, (-b + root) / a

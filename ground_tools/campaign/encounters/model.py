@@ -97,8 +97,8 @@ class Model:
     next_order: tuple[tuple[int, int], ...]
     """Order in which the dynamic variables are drawn: index at t + 1, and of the same variable at t."""
     boundaries: tuple[tuple[float, ...] | None, ...]
-    """Of each initial variable, in the file's units: kt, kt/s, ft/min, deg/s, and ft for layers. None: the
-    number of the bin is the value."""
+    """Boundaries of the bins of each initial variable, in the file's units: kt, kt/s, ft/min, deg/s, and ft
+    for layers. None: the number of the bin is the value."""
     zero_bins: tuple[int | None, ...]
     """The bin of each initial variable that stands for exactly 0; None: there is none."""
     resample_rates: tuple[float, ...]

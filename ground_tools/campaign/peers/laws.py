@@ -36,12 +36,12 @@ VARIED: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """One law."""
+    """A law that is compared with the companion's own."""
 
     words: str
-    """What it is."""
+    """Description of the law in words."""
     loop: Loop
-    """Flies it (`flight.Loop`)."""
+    """Function that flies an encounter with this law (`flight.Loop`)."""
     best: Parameters
     """Parameters with which it flies: those that the search found, or those that are published."""
     grid: dict[str, tuple[float, ...]] = field(default_factory=dict)
@@ -52,7 +52,7 @@ class Peer:
     values: tuple[float, ...] = ()
 
     def candidates(self) -> list[Parameters]:
-        """What a search tries, in a fixed order."""
+        """Parameter sets that a search tries, in a fixed order."""
         tried = itertools.product(*self.grid.values()) if self.grid else ()
         return [self.best._replace(**dict(zip(self.grid, values, strict=True))) for values in tried]
 

@@ -39,7 +39,7 @@ _STILL_M: Final = 2e-3
 _BEGINNINGS: Final = 3
 _MOST_MOVES: Final = 300
 _AWHILE_S: Final = 4.0
-"""Standard deviation of the time for which a beginning moves somebody aside."""
+"""Standard deviation of the bump in time by which a first guess of the plan moves an aircraft aside."""
 _NOWHERE_M: Final = 0.01
 _PULL: Final = (4.0, 1.0, 1.0)
 """Weights of the copies of accelerations, velocities and pairs."""
@@ -382,8 +382,8 @@ def _command(world: Conditions, now: float, plan: Floats, law: k.Settings, craft
 def _wish(
     world: Conditions, now: float, plan: Floats, period_s: float, craft: Fleet, i: int, c: int
 ) -> float:
-    """One axis of the velocity that follows the plan: that of the plan half a period later, what the lag of
-    the vehicle needs in advance, and a part of the distance from the plan."""
+    """One axis of the velocity that follows the plan: the sum of the plan's velocity half a period later, of
+    what makes up for the vehicle's lag, and of a share of the distance from the plan."""
     row = (now + 0.5 * period_s - world.start_s) / STEP_S
     first = min(max(int(row), 0), len(plan) - 3)
     share = min(row - first, 2.0)

@@ -32,14 +32,14 @@ class Table:
     """What a table compares."""
 
     words: str
-    """What is flown."""
+    """Description of the encounters in words."""
     laws: tuple[str, ...]
     encounters: tuple[Cell, ...]
     """Flown by each of the laws."""
     show: Callable[[dict[str, Any]], str]
     """Text of one cell."""
     legend: str
-    """What that text is."""
+    """Explanation of the text in a cell."""
 
     def cells(self) -> list[Cell]:
         """All cells, by encounter and then by law."""

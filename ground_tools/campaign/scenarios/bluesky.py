@@ -54,7 +54,7 @@ class Plan:
 
     name: str
     corners: list[State]
-    """Where it is at which time, straight in between; the first is its creation."""
+    """Positions with their times, connected by straight lines; the first is that of its creation."""
     goes_on: bool = True
     """Whether it flies on straight after the last corner; else it ends there."""
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -63,7 +63,7 @@ class Plan:
 
 @dataclass(slots=True)
 class Scenario:
-    """What a file says."""
+    """Content of a scenario file."""
 
     plans: list[Plan]
     """North and east are relative to the mean of the places where aircraft are created."""

@@ -93,8 +93,8 @@ class Contents(NamedTuple):
     whole: bool
     """Whether these are all episodes of the file."""
     left_out: int
-    """Conflicts of the plan, up to the last episode, that are in none, because one of the two is in the air
-    too shortly."""
+    """Number of planned conflicts, up to the last episode, that belong to no episode, because one of the two
+    aircraft is in the air for too short a time."""
     skipped: tuple[tuple[str, int], ...]
     """What was not understood, and how often; the most frequent first."""
     speed_mps: float
@@ -108,7 +108,7 @@ class _Path(NamedTuple):
 
 
 def name_of(path: Path, episode: int, zone_m: float | None) -> str:
-    """The name by which a cell means an episode of a file; see `Cell.generator`.
+    """The value of `Cell.generator` that stands for an episode of a file.
 
     Args:
         zone_m: what BlueSky's protected zone becomes; None: nothing is scaled.
@@ -215,7 +215,8 @@ def _flown(plans: Sequence[bluesky.Plan]) -> list[_Path]:
 
 
 def _passing_s(a: bluesky.Plan, b: bluesky.Plan) -> float:
-    """When two aircraft that go on are nearest to each other, if that is after both last corners; else 0."""
+    """Time at which two aircraft that fly on after their last corners meet. 0 if they do not, or if they are
+    nearest to each other before one of these corners."""
     if not (a.goes_on and b.goes_on):
         return 0.0
     start = max(a.corners[-1][0], b.corners[-1][0])
@@ -330,7 +331,8 @@ def _at(path: _Path, at_s: float) -> AnyFloats:
 
 
 def _cut(paths: Sequence[_Path], start_s: float, end_s: float) -> Episode:
-    """What aircraft fly from one time to another; the clock and the middle of the paths begin at 0."""
+    """The parts of the paths between two times. The clock is 0 at the first, and the middle of the paths is
+    the origin."""
     corners = np.concatenate([[start_s, end_s], *(path.times for path in paths)])
     inner = corners[(corners >= start_s) & (corners <= end_s)]
     times = np.unique(np.round(inner - start_s, 2))

@@ -50,8 +50,6 @@ class Fix:
     alt_m: float
     enu_m: Vec3
     """Position in the local frame."""
-    velocity_enu_mps: Vec3
-    """NaN where it is not known."""
     yaw_rad: float
     """Course over ground, anticlockwise from east."""
     own: bool
@@ -114,7 +112,7 @@ def fixes(run: Run, ways: Flown, topics: Topics) -> Iterator[Fix]:
     for block in tables.tracks(run, ways):
         for row in zip(*(block[name] for name in tables.TRACK_COLUMNS), strict=True):
             _, name, source, by, time_s, lat, lon, alt, north, east, down, *speeds = row
-            v_north, v_east, v_down = (float(speed) for speed in speeds)
+            v_north, v_east = (float(speed) for speed in speeds[:2])
             frame, topic = topics.frame(name), f"/{topics.frame(name)}/fix"
             if source == "true":
                 topic = f"/{frame}/true"
@@ -131,7 +129,6 @@ def fixes(run: Run, ways: Flown, topics: Topics) -> Iterator[Fix]:
                 lon,
                 alt + above_m.get(by or name, 0.0),
                 (east, north, -down),
-                (v_east, v_north, -v_down),
                 yaw.get(topic, 0.0),
                 source == "flown",
             )

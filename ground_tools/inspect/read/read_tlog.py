@@ -136,7 +136,7 @@ def read(path: Path) -> Tlog:
                 facts=replace(facts[system], utc_offset_s=offset),
                 link=tally.health(one.reboots, counts, one.bad_values),
                 steps=partial(_steps, path, system),
-                about=one.about(),
+                about=one.kind_and_modes(),
                 missing=_missing(facts[system], one),
             )
             for system, one in known.items()
@@ -255,7 +255,7 @@ class _Vehicle:
         self.seen.update(map(type, events), map(type, commands))
         return Step(now_s=now_s, events=events, commands=commands)
 
-    def about(self) -> str:
+    def kind_and_modes(self) -> str:
         """Return the kind of vehicle and the flight modes used."""
         modes = f"; modes {', '.join(self.modes)}" if self.modes else ""
         return f"{' then '.join(self.kinds)}{modes}"

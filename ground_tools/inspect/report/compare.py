@@ -6,7 +6,6 @@ otherwise from the first take-off. Aircraft, and therefore pairs, are matched by
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -20,7 +19,7 @@ from ground_tools.inspect.read import align
 from ground_tools.inspect.read.flown import placed
 from ground_tools.inspect.read.read_run import Run
 from ground_tools.inspect.report.summary import describe
-from ground_tools.inspect.report.terminal import PIPED_WIDTH, Rows, line, number, show_table
+from ground_tools.inspect.report.terminal import Rows, as_text, line, number, show_table
 
 _WHOLE = frozenset({"path", "fence"})
 """Parts of the configuration whose values are not shown; only the fact that they differ is."""
@@ -227,9 +226,7 @@ def show(figures: dict[str, Any], console: Console) -> None:
 
 def text(figures: dict[str, Any]) -> str:
     """Return what `show` prints if the output is not a terminal."""
-    stream = io.StringIO()
-    show(figures, Console(file=stream, width=PIPED_WIDTH, color_system=None, force_terminal=False))
-    return stream.getvalue().rstrip("\n")
+    return as_text(show, figures)
 
 
 def _config_rows(figures: dict[str, Any], head: list[str]) -> Rows:

@@ -160,9 +160,9 @@ def damage(figures: dict[str, Any]) -> list[str]:
     return [f"problem: {words}" for words in figures["problems"]]
 
 
-def about(figures: dict[str, Any]) -> list[str]:
+def notes(figures: dict[str, Any]) -> list[str]:
     """Return what the input is and what it does not contain, one line each. None of these is an error."""
-    notes = [f"note: {words}" for words in figures.get("notes", ())]
-    return notes + [
+    said = [f"note: {words}" for words in figures.get("notes", ())]
+    return said + [
         f"missing: {one['name']}: {words}" for one in figures["aircraft"] for words in one["missing"]
     ]

@@ -140,7 +140,7 @@ def _head(run: Run, figures: dict[str, Any]) -> str:
     )
     damage, about = (
         "".join(f"<li>{escaped(words)}</li>" for words in lines)
-        for lines in (headline.damage(figures), headline.about(figures))
+        for lines in (headline.damage(figures), headline.notes(figures))
     )
     return (
         f"<h1>{escaped(figures['run'])}</h1>\n<p>{escaped(headline.head(figures))}</p>\n"

@@ -20,7 +20,7 @@ from companion.events.sensed import is_sensed, thing_of
 from companion.runtime.record.disk import RUN
 from ground_tools.inspect.explain import air, manoeuvres, traffic
 from ground_tools.inspect.explain.manoeuvres import Manoeuvre
-from ground_tools.inspect.read import flight
+from ground_tools.inspect.read import flight_figures
 from ground_tools.inspect.read.conditions import wind_figures
 from ground_tools.inspect.read.faults import faults
 from ground_tools.inspect.read.flown import Separation, closest, flown
@@ -132,17 +132,17 @@ def _aircraft(
         "infeasible": int((~facts.decisions.feasible).sum()),
         "oldest_track_s": max((float(track.age_s.max()) for track in facts.tracks.values()), default=None),
         "authority": authority[-1] if authority else None,
-        "flight": flight.flight(record, offset_s),
+        "flight": flight_figures.flight_figures(record, offset_s),
         "gnss": facts.gnss.figures(),
         "wind": None if record.wind is None else wind_figures(record.wind),
         "manoeuvres": [_moved(manoeuvres.figures(one), offset_s) for one in done],
-        "alerts": flight.alerts(record, offset_s),
+        "alerts": flight_figures.alerts(record, offset_s),
         "remote_id": _moved_sent(air.gather(record), offset_s),
         "link": _link(record),
         "faults": bad,
         "ordinary": ordinary,
         "traffic": traffic.heard(record, of_the_run, offset_s),
-        "missing": flight.missing(record),
+        "missing": flight_figures.missing(record),
     }
 
 

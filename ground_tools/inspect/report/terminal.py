@@ -44,6 +44,11 @@ def number(value: float | None, digits: int = 1) -> str:
 
 def text(figures: dict[str, Any]) -> str:
     """Return the figures of `summary.describe` as text, `PIPED_WIDTH` characters wide and without colour."""
+    return as_text(show, figures)
+
+
+def as_text(show: Callable[[dict[str, Any], Console], None], figures: dict[str, Any]) -> str:
+    """Return what `show` prints of the figures if the output is not a terminal."""
     stream = io.StringIO()
     show(figures, Console(file=stream, width=PIPED_WIDTH, color_system=None, force_terminal=False))
     return stream.getvalue().rstrip("\n")
@@ -62,7 +67,7 @@ def show(figures: dict[str, Any], console: Console) -> None:
         line(console, f"  {words}", "bold red" if headline.is_bad(words) else "")
     for words in headline.damage(figures):
         line(console, f"  {words}", "yellow")
-    for words in headline.about(figures):
+    for words in headline.notes(figures):
         line(console, f"  {words}", "dim")
     console.print()
     for title, rows in sections(figures):

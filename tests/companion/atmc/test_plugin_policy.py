@@ -28,11 +28,7 @@ US = Region(name="us", transport_sets=(("wifi",), ("ble4", "ble5")), location_pe
 @pytest.fixture(autouse=True)
 def site(tmp_path, monkeypatch):
     """The policies of `plugged.POLICIES`."""
-    monkeypatch.syspath_prepend(str(tmp_path))
-    plugged.forget("plugged_policies")
-    plugged.policies(tmp_path)
-    yield tmp_path
-    plugged.forget("plugged_policies")
+    yield from plugged.installed(tmp_path, monkeypatch, "plugged_policies", plugged.policies)
 
 
 @pytest.fixture

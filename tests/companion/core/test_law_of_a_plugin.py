@@ -21,11 +21,7 @@ from tests.support import plugged
 @pytest.fixture(autouse=True)
 def site(tmp_path, monkeypatch):
     """The laws of `plugged.LAWS`."""
-    monkeypatch.syspath_prepend(str(tmp_path))
-    plugged.forget("plugged_laws")
-    plugged.laws(tmp_path)
-    yield
-    plugged.forget("plugged_laws")
+    yield from plugged.installed(tmp_path, monkeypatch, "plugged_laws", plugged.laws)
 
 
 @pytest.fixture

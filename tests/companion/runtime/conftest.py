@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,19 +14,13 @@ from tests.companion.runtime.flying import (
     Radio,
     configured,
 )
+from tests.support import waiting
 
 
 @pytest.fixture
 def until() -> Callable[[Callable[[], object]], None]:
-    """Wait until something holds; generous, because machines are slow."""
-
-    def wait(done: Callable[[], object]) -> None:
-        end = time.monotonic() + 30.0
-        while not done():
-            assert time.monotonic() < end, "it never came"
-            time.sleep(0.005)
-
-    return wait
+    """Wait until something holds."""
+    return waiting.until
 
 
 @pytest.fixture(autouse=True)

@@ -29,11 +29,7 @@ from tests.support import plugged
 @pytest.fixture(autouse=True)
 def site(tmp_path, monkeypatch):
     """The policies of `plugged.POLICIES`."""
-    monkeypatch.syspath_prepend(str(tmp_path))
-    plugged.forget("plugged_policies")
-    plugged.policies(tmp_path)
-    yield tmp_path
-    plugged.forget("plugged_policies")
+    yield from plugged.installed(tmp_path, monkeypatch, "plugged_policies", plugged.policies)
 
 
 def test_as_a_decider_it_is_asked_for_each_aircraft():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import functools
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,9 +14,17 @@ from companion.config import Config
 from companion.event_record import Header, Step
 from companion.events import AnyCommand, AnyEvent, Decision, Firmware, GlobalPosition, TrackView
 from companion.geometry import Vec3
+from ground_tools.inspect import command
 from ground_tools.inspect.read.read_run import AircraftRecord, read_run
 from tests.sitl_mocks.onboard.guarding import head_on
 from tests.support.place import HOME
+
+
+def inspect(*arguments: object) -> int:
+    """Run `ground-tools inspect` in this process. Returns its exit code."""
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return command.run(parser.parse_args([str(a) for a in arguments]))
 
 
 @functools.cache

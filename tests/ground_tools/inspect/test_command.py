@@ -11,16 +11,10 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from ground_tools.inspect import command
 from ground_tools.inspect.read.flown import flown, separations
 from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.report import picture
-
-
-def inspect(*arguments: object) -> int:
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    return command.run(parser.parse_args([str(a) for a in arguments]))
+from tests.ground_tools.inspect.flights import inspect
 
 
 def draw(*arguments: object) -> int:

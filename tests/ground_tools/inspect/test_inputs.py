@@ -1,6 +1,5 @@
 """Damaged and mixed inputs: everything that can be read is shown, and the rest is said in one line each."""
 
-import argparse
 import gzip
 import json
 import os
@@ -17,11 +16,11 @@ from companion.autopilot.wire import MavlinkWriter
 from companion.errors import ConfigError
 from companion.event_record import MAGIC, Step
 from companion.events import GlobalPosition, Landed, LandedState
-from ground_tools.inspect import command
 from ground_tools.inspect.export import incident
 from ground_tools.inspect.read.flown import flown, separations
 from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.read.timeline import time_line, together
+from tests.ground_tools.inspect.flights import inspect
 
 OTHER_VERSION = MAGIC[:-1] + b"3" + bytes(100)
 
@@ -185,12 +184,6 @@ def test_aircraft_on_the_ground_are_not_too_close(tmp_path: Path, made: SimpleNa
     closest = separations(flown(read_run(tmp_path)).paths)[0]
     assert closest.minimum_m == pytest.approx(52.5, abs=0.1)
     assert closest.minimum_time_s == pytest.approx(45.05, abs=0.1)
-
-
-def inspect(*arguments: object) -> int:
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    return command.run(parser.parse_args([str(a) for a in arguments]))
 
 
 def test_of_several_inputs_the_good_ones_are_shown(

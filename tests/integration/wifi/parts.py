@@ -9,8 +9,6 @@ import select
 import shutil
 import socket
 import struct
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -29,8 +27,8 @@ from companion.remote_id.messages import (
     System,
     UaType,
 )
+from tests.support.waiting import PATIENCE_S, until
 
-PATIENCE_S = 20.0
 TUN = Path("/dev/net/tun")
 IFF_TAP, IFF_NO_PI, IFF_UP = 0x0002, 0x1000, 0x1
 TUNSETIFF, TUNSETLINK = 0x400454CA, 0x400454CD
@@ -62,13 +60,6 @@ HOSTAPD = shutil.which("hostapd", path=os.environ.get("PATH", os.defpath) + ":/u
 needs_hostapd = pytest.mark.skipif(
     HOSTAPD is None, reason="REAL PART MISSING: hostapd (Debian package hostapd)"
 )
-
-
-def until(found: Callable[[], object], what: str) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not found():
-        assert time.monotonic() < end, f"{what} never came"
-        time.sleep(0.02)
 
 
 class Tap:

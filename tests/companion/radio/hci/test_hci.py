@@ -5,7 +5,6 @@ import random
 import select
 import struct
 import threading
-import time
 import tty
 from collections.abc import Callable, Iterator
 from typing import NoReturn
@@ -32,18 +31,10 @@ from tests.companion.radio.hci.controller import (
     TcpController,
     extended_report,
 )
+from tests.support.waiting import PATIENCE_S, until
 
 ADDRESS = "c2:01:02:03:04:05"
-GENEROUS_S = 30.0
 MESSAGES = (SelfId(description_type=0, text="survey"), Location(lat_deg=47.5, lon_deg=8.5))
-
-
-def until(condition: Callable[[], object]) -> None:
-    """Wait for what another thread does."""
-    deadline = time.monotonic() + GENEROUS_S
-    while not condition():
-        assert time.monotonic() < deadline, "did not happen"
-        time.sleep(0.005)
 
 
 Open = Callable[..., tuple[HciTransport, TcpController]]
@@ -303,7 +294,7 @@ def test_a_fault_of_the_program_costs_a_session_not_the_radio(
     until(lambda: radio.health(0.0).ok)
     assert server.connections > 1
     radio.close()
-    assert server.closed_by_peer.wait(GENEROUS_S)
+    assert server.closed_by_peer.wait(PATIENCE_S)
 
 
 @pytest.mark.usefixtures("impatient")
@@ -348,7 +339,7 @@ def test_closing_resets_the_controller_and_hangs_up(start: Open) -> None:
     controller = Controller()
     radio, server = start(controller)
     radio.close()
-    assert server.closed_by_peer.wait(GENEROUS_S)
+    assert server.closed_by_peer.wait(PATIENCE_S)
     assert controller.opcodes()[-1] == RESET
     assert controller.opcodes().count(RESET) == 2
     health = radio.health(0.0)

@@ -5,22 +5,12 @@ import os
 import select
 import socket
 import struct
-import time
-from collections.abc import Callable
 
 import pytest
 
 from companion.errors import ConfigError
 from companion.radio.hci.channel import Channel, open_channel, user_channel_error
-
-GENEROUS_S = 20.0
-
-
-def until(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + GENEROUS_S
-    while not condition():
-        assert time.monotonic() < deadline, "did not happen"
-        time.sleep(0.01)
+from tests.support.waiting import PATIENCE_S, until
 
 
 def is_lost(channel: Channel) -> bool:
@@ -95,7 +85,7 @@ def test_a_peer_that_hangs_up_at_once_is_refused_in_words(monkeypatch: pytest.Mo
             theirs, _ = server.accept()
             theirs.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             theirs.close()  # a reset
-            select.select([ours], [], [], GENEROUS_S)
+            select.select([ours], [], [], PATIENCE_S)
             return ours
 
         monkeypatch.setattr(socket, "create_connection", hung_up_on)

@@ -11,6 +11,7 @@ import numpy as np
 from companion.avoidance.law import Neighbour
 from companion.config import SensedConfig
 from companion.events import (
+    AdsbVehicle,
     Attitude,
     Event,
     Firmware,
@@ -18,7 +19,9 @@ from companion.events import (
     GlobalPosition,
     GnssFix,
     Heartbeat,
+    ObstaclePoint,
     ObstacleScan,
+    SensedAircraft,
     VehicleTime,
 )
 from companion.events.sensed import NOTHING
@@ -156,3 +159,25 @@ def place(other: Neighbour) -> Vec3:
     """Where a neighbour is now."""
     (n, e, d), (vn, ve, vd), age = other.position_ned_m, other.velocity_ned_mps, other.age_s
     return n + age * vn, e + age * ve, d + age * vd
+
+
+def one(world: World) -> Neighbour:
+    """The only thing that is seen."""
+    seen = world.seen()
+    assert len(seen) == 1, [(o.track_id, place(o)) for o in seen]
+    return seen[0]
+
+
+def off(other: Neighbour, north: float, east: float) -> float:
+    n, e, _ = place(other)
+    return math.hypot(n - north, e - east)
+
+
+def point(n: float, e: float, d: float, axes: str = "offset", number: int | None = None) -> ObstaclePoint:
+    return ObstaclePoint(component=196, axes=axes, position_m=(n, e, d), number=number)  # type: ignore[arg-type]
+
+
+def aircraft(world: World, n: float, e: float, d: float, velocity=(0.0, 0.0, 0.0), **more) -> SensedAircraft:
+    lat, lon, alt = HOME.to_geodetic(n, e, d)
+    report = AdsbVehicle(icao=7, lat_deg=lat, lon_deg=lon, alt_m=alt, velocity_ned_mps=velocity, **more)
+    return SensedAircraft(component=196, report=report)

@@ -111,7 +111,7 @@ def test_notes_are_no_damage(tmp_path):
     write(tmp_path, ONE, [step(0.0), step(1.0)])
     figures = describe(read_run(tmp_path))
     assert headline.damage(figures) == []
-    assert any("no Remote ID was heard" in words for words in headline.about(figures))
+    assert any("no Remote ID was heard" in words for words in headline.notes(figures))
 
 
 def test_a_word_not_in_a_text_makes_no_line_red(tmp_path):

@@ -1,6 +1,5 @@
 """Two runs beside each other: configuration, pairs, figures; aligned at take-off."""
 
-import argparse
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,16 +11,9 @@ from companion.errors import ConfigError
 from companion.event_record import Step
 from companion.events import Broadcast, Firmware, FlightMode, Heartbeat, Landed, LandedState
 from companion.remote_id.messages import Location
-from ground_tools.inspect import command
 from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.report.compare import compare, text
-from tests.ground_tools.inspect.flights import step, write
-
-
-def inspect(*arguments: object) -> int:
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    return command.run(parser.parse_args([str(a) for a in arguments]))
+from tests.ground_tools.inspect.flights import inspect, step, write
 
 
 def value(figures, what):

@@ -1,6 +1,5 @@
 """The report stands alone, prints, shows what it should, and takes nothing from a log for markup."""
 
-import argparse
 import html.parser
 import re
 import sys
@@ -16,7 +15,6 @@ from companion.errors import ConfigError
 from companion.event_record import Step
 from companion.events import AlertChanged, AuthorityChanged, Broadcast, VehicleText
 from companion.remote_id.messages import Location
-from ground_tools.inspect import command
 from ground_tools.inspect.explain.manoeuvres import find
 from ground_tools.inspect.read.flown import flown, separations
 from ground_tools.inspect.read.read_run import read_run
@@ -24,7 +22,7 @@ from ground_tools.inspect.report import plots
 from ground_tools.inspect.report.page import page
 from ground_tools.inspect.report.summary import describe
 from tests.browser import chromium
-from tests.ground_tools.inspect.flights import decision, guarded, read, step, track, write
+from tests.ground_tools.inspect.flights import decision, guarded, inspect, read, step, track, write
 
 pytest.importorskip("matplotlib")
 EVIL = "<script>alert(1)</script>$x_{\\frac}$\"'&\x1b[2J"
@@ -46,12 +44,6 @@ class Page(html.parser.HTMLParser):
 
     def handle_data(self, data):
         self.words.append(data)
-
-
-def inspect(*arguments: object) -> int:
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    return command.run(parser.parse_args([str(a) for a in arguments]))
 
 
 def page_of(folder: Path) -> str:

@@ -21,7 +21,7 @@ from ground_tools.inspect.read.read_run import AircraftRecord
 from ground_tools.inspect.read.spill import BLOCK, release
 
 
-def flight(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
+def flight_figures(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
     """Return the figures of a flight, ready for JSON. `offset_s` is added to times; None means unknown."""
     fixes = record.facts.fixes
     speed: float | None = None
