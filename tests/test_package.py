@@ -1,5 +1,6 @@
 """What the wheel and the source archive hold, and the import name `dmuca`."""
 
+import importlib
 import re
 import subprocess
 import sys
@@ -72,6 +73,14 @@ def test_the_guessable_name_leads_to_the_public_rooms():
         assert getattr(dmuca, name).__name__ == module
     with pytest.raises(AttributeError, match="its rooms are remote_id, traffic"):
         dmuca.no_such_room  # noqa: B018 - the access itself is tested
+
+
+@pytest.mark.parametrize(("name", "module"), dmuca.ROOMS.items())
+def test_a_room_is_imported_by_its_short_name_as_one_module(name, module):
+    """`from dmuca.remote_id import encode` is what a user writes first."""
+    short, long = importlib.import_module(f"dmuca.{name}"), importlib.import_module(module)
+    assert short is long
+    assert getattr(dmuca, name) is long
 
 
 def test_the_name_alone_loads_nothing_heavy():
