@@ -75,7 +75,8 @@ def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--law",
         metavar="NAME",
-        help=f"avoidance law: {', '.join(LAWS)}, or that of a plug-in (default: the one in the scenario)",
+        help=f"avoidance law: {', '.join(LAWS)}, that of a plug-in, or MODULE:CLASS (default: the one in the "
+        "scenario)",
     )
     parser.add_argument(
         "--sensor",
