@@ -26,7 +26,7 @@ fuzz: .venv/dev.stamp
 
 # The documentation as a site in build/site; a broken link or anchor is an error.
 site: .venv/docs.stamp
-	$(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "build/site/index.html"
 
 # Installs the wheel with the example projects in an empty environment, and the wheel, a Debian package and a container

@@ -48,6 +48,7 @@ def plugin_of(law: str) -> Plugin | None:
     if law in LAWS:
         return None
     there = plugins.names(plugins.LAWS)
-    if law not in there:
-        raise ConfigError(f"{law!r} is unknown; allowed: {', '.join([*LAWS, *there])}, or a plug-in's law")
+    if law not in there and not plugins.is_of_module(law):
+        allowed = ", ".join([*LAWS, *there])
+        raise ConfigError(f"{law!r} is unknown; allowed: {allowed}, a plug-in's law, or MODULE:CLASS")
     return plugins.load(plugins.LAWS, law)

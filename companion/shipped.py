@@ -26,13 +26,19 @@ def shipped(name: str) -> Path:
     return Path(str(resources.files("dmuca") / name)) if CHECKOUT is None else CHECKOUT / name
 
 
-def given(text: str) -> Path:
+def given(text: str, kind: str | None = None) -> Path:
     """The file that an argument of a command names: `type` of such an option.
 
     Where the current folder has no `config/...` or `results/...` of that name, the one that comes with the
     software is meant, so that the commands of the documentation work in any folder.
+
+    Args:
+        kind: folder of TOML files in `config` that may be named without folder and ending, such as `head_on`
+            of `scenarios`.
     """
     path = Path(text)
+    if kind is not None and text in names(kind, ".toml"):
+        return path if path.exists() else shipped(f"config/{kind}/{text}.toml")
     if path.is_absolute() or not path.parts or path.parts[0] not in FOLDERS or ".." in path.parts:
         return path
     ours = shipped(text)

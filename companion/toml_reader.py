@@ -66,7 +66,11 @@ def _explain(text: str, raw: object, kind: type) -> str:
         field = what.split("`")[1]
         full = f"{key}.{field}" if key else field
         names = [f.name for f in msgspec.structs.fields(_structs_at(kind, key, raw)[0])]
-        meant = "".join(f"did you mean {n}? " for n in difflib.get_close_matches(field, names, n=1))
+        near = difflib.get_close_matches(field, names, n=1)
+        if not near:  # perhaps a key of another section
+            near = difflib.get_close_matches(field, keys := _keys_of_sections(kind), n=1, cutoff=0.85)
+            near = [keys[n] for n in near]
+        meant = "".join(f"did you mean {n}? " for n in near)
         return f"{full}: unknown key; {meant}allowed here: {', '.join(names) or 'no other key'}"
     if "missing required field" in what:
         field = what.split("`")[1]
@@ -152,6 +156,16 @@ def _structs_at(kind: type, key: str, raw: object) -> list[type[msgspec.Struct]]
             found = list(_structs(get_type_hints(found[0])[part]))
         value = value[int(part)] if isinstance(value, list) else value[part]  # type: ignore[index]
         found = [c for c in found if _is_tagged(c, value)] + [c for c in found if not _is_tagged(c, value)]
+    return found
+
+
+def _keys_of_sections(kind: type) -> dict[str, str]:
+    """The keys in the sections of a struct, each as the first section has it: `{"floor": "limits.floor"}`."""
+    found: dict[str, str] = {}
+    for section, hint in get_type_hints(kind).items():
+        for struct in _structs(hint):
+            for field in msgspec.structs.fields(struct):
+                found.setdefault(field.name, f"{section}.{field.name}")
     return found
 
 

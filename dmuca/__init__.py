@@ -1,7 +1,8 @@
 """The project under the name that it is installed by: its version and its public rooms.
 
 `dmuca.remote_id` is `companion.remote_id`, and so on for each name in `ROOMS`; docs/library.md describes
-them. A room is imported when it is first used, so that `import dmuca` alone takes no time and needs no extra.
+them. A room is imported when it is first used, so that `import dmuca` alone takes no time and needs no extra;
+`from dmuca.remote_id import encode` works too.
 In an installed copy this folder also holds `config` and `results`, which `companion.shipped` finds.
 """
 
@@ -34,9 +35,7 @@ def __getattr__(name: str) -> ModuleType:
     """
     if name not in ROOMS:
         raise AttributeError(f"dmuca has no room {name!r}; its rooms are {', '.join(ROOMS)}")
-    room = importlib.import_module(ROOMS[name])
-    globals()[name] = room
-    return room
+    return importlib.import_module(f"{__name__}.{name}")
 
 
 def __dir__() -> list[str]:

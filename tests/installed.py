@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 import venv
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -68,11 +68,14 @@ SERVES: Final = (
 )
 """Commands that go on until Ctrl-C, which is pressed after a few seconds."""
 UNTRIED: Final = {
+    r"--law (sidestep|daidalus)": "a plug-in; tests/packaging/try_plugins.sh tries the former",
+    r"--scn |encounters --model": "files of others, which are downloaded",
+    r"bench-test (bench|watch|guard|pair)": "the run of a stage; its tests are in tests/companion/commands",
     r"listen .*hci=": "a radio",
     r"companion remote-id decode capture": "a capture",
     r"ground-tools fly": "a vehicle, and the extra fly",
     r"ground-tools atmc (train|evaluate|freeze)": "the extra train, and hours",
-    r"campaign (attacks|table|fences)": "many minutes even with the smallest numbers",
+    r"campaign (attacks|table|fences|peers)": "many minutes even with the smallest numbers",
     r"--sweep": "many minutes even with the smallest numbers",
     r"--schedule": "a file that only a failed examination writes",
     r"results (verify --sample|record)": "a checkout, or the extra train",
@@ -94,7 +97,7 @@ MORE: Final = (
 """Commands beside those of the docs."""
 FAILS: Final = {
     r"companion check": "check: NOT ready",
-    r"companion status": "no companion runs on this computer",
+    r"companion (status|display)": "no companion runs on this computer",
     r"ground-tools results verify": "make it again",
 }
 """Commands that end with exit code 1 or 2 here, and what they say."""
@@ -110,9 +113,14 @@ _MOST_S: Final = 900.0
 
 
 def commands_of_the_docs() -> list[str]:
-    """Each command line of the docs once, without its comment, in the order of the pages."""
+    """Each command line of the docs once, in the order of the pages."""
+    return commands_of(PAGES)
+
+
+def commands_of(pages: Sequence[Path]) -> list[str]:
+    """Each command line of some pages once, without its comment."""
     found: dict[str, None] = {}
-    for page in PAGES:
+    for page in pages:
         text = re.sub(r"\s*\\\n\s*", " ", page.read_text())
         for line in re.findall(r"^    ((?:companion|sitl-mocks|ground-tools) .*)", text, re.MULTILINE):
             found[re.sub(r"\s+#.*", "", line).strip()] = None
@@ -195,6 +203,8 @@ def install(folder: Path, extras: str) -> Place:
         venv.create(environment, with_pip=True)
         subprocess.run([*pip, f"{wheel}[{extras}]" if extras else str(wheel)], check=True)
     away.mkdir()
+    law = (ROOT / "docs" / "examples" / "plugin-law" / "dmuca_sidestep.py").read_text()
+    (away / "mine.py").write_text(law.replace("Sidestep", "Law"))
     for name in ("orca_cases.json.gz", "vectors.json.gz"):
         shutil.copy(ROOT / "tests" / "data" / name, away / name.removeprefix("orca_"))
     onboard_logs.copter(away / "00000042.BIN")

@@ -1,6 +1,8 @@
 """What the wheel and the source archive hold, and the import name `dmuca`."""
 
+import importlib
 import re
+import shlex
 import subprocess
 import sys
 import tarfile
@@ -13,6 +15,9 @@ import pytest
 
 import companion
 import dmuca
+from companion.commands import cli as companion_cli
+from ground_tools import cli as tools_cli
+from sitl_mocks import cli as mocks_cli
 from tests import installed
 
 ROOT = Path(__file__).parents[1]
@@ -74,6 +79,14 @@ def test_the_guessable_name_leads_to_the_public_rooms():
         dmuca.no_such_room  # noqa: B018 - the access itself is tested
 
 
+@pytest.mark.parametrize(("name", "module"), dmuca.ROOMS.items())
+def test_a_room_is_imported_by_its_short_name_as_one_module(name, module):
+    """`from dmuca.remote_id import encode` is what a user writes first."""
+    short, long = importlib.import_module(f"dmuca.{name}"), importlib.import_module(module)
+    assert short is long
+    assert getattr(dmuca, name) is long
+
+
 def test_the_name_alone_loads_nothing_heavy():
     code = "import dmuca, sys; print(dmuca.__version__, *sys.modules)"
     loaded = subprocess.run(
@@ -94,6 +107,43 @@ def test_every_command_of_the_docs_is_tried_in_an_empty_environment_or_known_to_
         assert any(re.search(pattern, command) for command in commands), pattern
     left = [c for c in map(installed.smaller, tried) if re.search(r"\b(NAME|OTHER|FILE|DIR|RUN|CASES)\b", c)]
     assert not left, "placeholders without a file"
+
+
+HERE = {
+    "my.toml",
+    "companion.toml",
+    "00000042.BIN",
+    "flight.ulg",
+    "drone1.ulg",
+    "drone2.ulg",
+    "incident.toml",
+}
+"""Files that `python -m tests.installed` makes before or while it runs the commands."""
+READ = r"(?<!\S)(?!RUN_FOLDER)(?:[\w./-]+/)?[\w.-]+\.(?:toml|tlog|BIN|ulg|scn|csv|txt|pcapng)(?!\S)"
+
+
+def test_what_a_tried_command_reads_is_there():
+    commands = filter(lambda command: installed.untried(command) is None, installed.commands_of_the_docs())
+    for command in map(installed.smaller, commands):
+        for file in re.findall(READ, command):
+            assert file in HERE or file.startswith("config/"), command
+            assert file in HERE or (ROOT / file).is_file(), command
+
+
+MAINS = {"companion": companion_cli, "sitl-mocks": mocks_cli, "ground-tools": tools_cli}
+
+
+@pytest.mark.parametrize(
+    "page", sorted({*installed.PAGES, ROOT / "docs" / installed.FOLLOWED}), ids=lambda p: p.stem
+)
+def test_every_command_line_of_a_page_is_one_that_its_parser_takes(page, monkeypatch):
+    """Also of those that need hardware or hours, which nothing runs."""
+    for module in MAINS.values():
+        monkeypatch.setattr(module, "run_command", lambda parser, argv: parser.parse_args(argv))
+    for command in installed.commands_of([page]):
+        command = re.sub(r" \[[^]]*\]| \d?[<>].*| &$", "", command)
+        name, *words = shlex.split(command)
+        MAINS[name].main(words)
 
 
 def test_the_citation_is_of_this_version():

@@ -133,7 +133,7 @@ class AvoidanceConfig(_Section, frozen=True):
     published law."""
 
     law: Annotated[str, Meta(min_length=1)] = "dmuca"
-    """A key of `companion.laws.LAWS`, or the name of a plug-in."""
+    """A key of `companion.laws.LAWS`, the name of a plug-in, or "module:class"."""
     conflict_radius_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
     """Radius of one aircraft. The separation of two aircraft must be at least twice this radius."""
     crewed_horizontal_m: Annotated[float, Meta(gt=0, le=5000)] = 610.0

@@ -8,8 +8,20 @@ from companion.plugins.entry_points import (
     RADIOS,
     Plugin,
     cause,
+    is_of_module,
     load,
     names,
 )
 
-__all__ = ["FIRMWARES", "GROUPS", "LAWS", "POLICIES", "RADIOS", "Plugin", "cause", "load", "names"]
+__all__ = [
+    "FIRMWARES",
+    "GROUPS",
+    "LAWS",
+    "POLICIES",
+    "RADIOS",
+    "Plugin",
+    "cause",
+    "is_of_module",
+    "load",
+    "names",
+]

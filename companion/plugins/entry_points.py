@@ -2,11 +2,14 @@
 
 A plug-in is looked up only by its name, so that a configuration that names none scans nothing. It is loaded
 when the configuration is checked. What is loaded once stays loaded, so that nothing is imported in flight.
+A name such as `mine:Law` is an object of a module instead, which needs no distribution.
 docs/plug-ins.md describes each kind.
 """
 
 from __future__ import annotations
 
+import re
+import sys
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
@@ -20,6 +23,9 @@ RADIOS: Final = "dmuca.radios"
 FIRMWARES: Final = "dmuca.firmwares"
 GROUPS: Final = (LAWS, POLICIES, RADIOS, FIRMWARES)
 """Groups of entry points."""
+_OF_MODULE: Final = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
+_PATH: Final = "the Python path"
+"""Stands for the distribution of what is named by its module."""
 _WORDS: Final = 160
 """Most characters that a message quotes from an exception."""
 
@@ -46,6 +52,8 @@ def load(group: str, name: str) -> Plugin:
 
     Args:
         group: one of `GROUPS`.
+        name: name of an entry point, or "module:object". Such a module is looked for where Python looks, and
+            last in the current folder.
 
     Raises:
         ConfigError: there is no such plug-in, several distributions bring one of this name, or it cannot be
@@ -53,6 +61,8 @@ def load(group: str, name: str) -> Plugin:
     """
     found = metadata.entry_points(group=group, name=name)
     places = {(_named(entry), entry.value): entry for entry in found}
+    if not places and is_of_module(name):
+        places = {(_PATH, name): metadata.EntryPoint(name, name, group)}
     if not places:
         there = ", ".join(names(group)) or "none is installed"
         raise ConfigError(f"{name!r}: no plug-in of {group} has this name; plug-ins: {there}")
@@ -60,13 +70,23 @@ def load(group: str, name: str) -> Plugin:
         listed = " and ".join(f"{value} of {distribution}" for distribution, value in sorted(places))
         raise ConfigError(f"{name!r}: several plug-ins of {group} have this name: {listed}; keep one of them")
     ((distribution, value), entry) = places.popitem()
+    here = [""] if distribution == _PATH else []
+    sys.path += here
     try:
         loaded = entry.load()
     except (Exception, SystemExit) as error:  # whatever its modules do when they are imported
         raise ConfigError(
             f"{name!r}: the plug-in {value} of {distribution} ({group}) cannot be loaded: {cause(error)}"
         ) from error
+    finally:
+        if here:
+            del sys.path[len(sys.path) - 1 - sys.path[::-1].index("")]
     return Plugin(name, value, distribution, loaded)
+
+
+def is_of_module(name: str) -> bool:
+    """Whether a name is that of a module's object, "module:object", whether or not there is one."""
+    return _OF_MODULE.fullmatch(name) is not None
 
 
 def names(group: str) -> list[str]:

@@ -16,7 +16,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ground_tools.atmc.env.deciders import Chance, Decider, Fixed, Rule, settle
     from ground_tools.atmc.env.environment import Env, EnvSettings, Observation
-    from ground_tools.atmc.env.objective import AwarenessObjective, Objective, PaperObjective, costs
+    from ground_tools.atmc.env.objective import (
+        AwarenessObjective,
+        Objective,
+        PaperObjective,
+        awareness_objective,
+        costs,
+    )
     from ground_tools.atmc.env.paper_task import paper_objective
     from ground_tools.atmc.env.parallel_env import AtmcParallelEnv
     from ground_tools.atmc.env.search import search
@@ -43,6 +49,7 @@ __all__ = [
     "Rule",
     "World",
     "WorldSettings",
+    "awareness_objective",
     "costs",
     "draw",
     "freeze_layers",
@@ -55,7 +62,7 @@ __all__ = [
 _MODULES = {
     "env.deciders": ("Chance", "Decider", "Fixed", "Rule", "settle"),
     "env.environment": ("Env", "EnvSettings", "Observation"),
-    "env.objective": ("AwarenessObjective", "Objective", "PaperObjective", "costs"),
+    "env.objective": ("AwarenessObjective", "Objective", "PaperObjective", "awareness_objective", "costs"),
     "env.paper_task": ("paper_objective",),
     "env.parallel_env": ("AtmcParallelEnv",),
     "env.search": ("search",),

@@ -125,8 +125,8 @@ def _add_run(command: argparse.ArgumentParser) -> None:
         default="dmuca",
         metavar="NAME",
         help="avoidance law: ours (dmuca), the paper's (paper), none, or another one: "
-        f"{', '.join(PEERS)}, or a plug-in's; parameters of its own as in {_LAW_EXAMPLE}; or {OMNISCIENT}, "
-        "which knows everybody's future (default: dmuca)",
+        f"{', '.join(PEERS)}, a plug-in's, or MODULE:CLASS; parameters of its own as in {_LAW_EXAMPLE}; or "
+        f"{OMNISCIENT}, which knows everybody's future (default: dmuca)",
     )
     command.add_argument(
         "--speed", type=float, default=5.0, metavar="M/S", help="greatest speed (default: 5)"

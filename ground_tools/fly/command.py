@@ -12,6 +12,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from companion.errors import ConfigError
@@ -50,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--mission", type=Path, action="append", metavar="FILE",
                       help="mission to upload (.plan or QGC WPL 110); once for each ADDRESS")  # fmt: skip
-    what.add_argument("--scenario", type=given, metavar="FILE",
+    what.add_argument("--scenario", type=partial(given, kind="scenarios"), metavar="FILE",
                       help="upload the scenario's paths as missions, around the first vehicle's home; "
                       "ADDRESS k gets the path of aircraft k, and --start starts all together")  # fmt: skip
     add("--seed", type=int, default=1, help="seed of the scenario's random paths (default: 1)")

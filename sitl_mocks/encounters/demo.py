@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import ExitStack
+from functools import partial
 from multiprocessing.queues import Queue
 from pathlib import Path
 from typing import BinaryIO
@@ -28,7 +29,7 @@ from companion.errors import ConfigError
 from companion.laws import LAWS, plugin_of
 from companion.runtime.record.recorder import EventFile, create_run_folder, write_json, write_manifest
 from companion.runtime.warm import warm_up
-from companion.shipped import given
+from companion.shipped import given, names
 from companion.toml_reader import without_none
 from sitl_mocks.air import air_settings
 from sitl_mocks.encounters import choosing, scenario_file
@@ -62,7 +63,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that choose and change a scenario."""
-    parser.add_argument("--scenario", type=given, help="scenario file (TOML); default: S2 with five aircraft")
+    parser.add_argument(
+        "--scenario",
+        type=partial(given, kind="scenarios"),
+        help="scenario file (TOML), or the name of a shipped one: "
+        f"{', '.join(names('scenarios', '.toml'))}; default: S2 with five aircraft",
+    )
     parser.add_argument("--aircraft", type=int, metavar="N", help="number of aircraft (2-100)")
     air_settings.add_arguments(parser)
     parser.add_argument(
@@ -75,7 +81,8 @@ def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--law",
         metavar="NAME",
-        help=f"avoidance law: {', '.join(LAWS)}, or that of a plug-in (default: the one in the scenario)",
+        help=f"avoidance law: {', '.join(LAWS)}, that of a plug-in, or MODULE:CLASS (default: the one in the "
+        "scenario)",
     )
     parser.add_argument(
         "--sensor",

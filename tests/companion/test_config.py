@@ -51,6 +51,10 @@ def write(folder: Path, text: str, name: str = "c.toml") -> Path:
             "limits.max_sped_mps: unknown key; did you mean max_speed_mps? allowed here: ",
         ),
         (
+            IDENTITY + "[avoidance]\nmax_speed_mp = 5\n",
+            "avoidance.max_speed_mp: unknown key; did you mean limits.max_speed_mps? allowed here: ",
+        ),
+        (
             IDENTITY + '[limits]\nmax_speed_mps = "x"\n',
             "limits.max_speed_mps: 'x': expected a number, more than 0",
         ),

@@ -71,6 +71,35 @@ def test_two_distributions_of_one_name_are_refused(site):
         plugins.load(plugins.LAWS, "mine")
 
 
+def test_an_object_of_a_module_in_the_current_folder_needs_no_distribution(tmp_path, monkeypatch):
+    (tmp_path / "one.py").write_text("class Law: pass")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry not in ("", str(tmp_path))])
+    before = list(sys.path)
+    plugged.forget("one")
+    found = plugin_of("one:Law")
+    plugged.forget("one")
+    assert str(found) == '"one:Law" (one:Law of the Python path)'
+    assert found.loaded.__name__ == "Law"
+    assert sys.path == before, "nothing else is looked for there"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("no_such:Law", "cannot be loaded: ModuleNotFoundError: No module named 'no_such'"),
+        ("json:Law", "cannot be loaded: AttributeError: module 'json' has no attribute 'Law'"),
+        (":Law", "':Law' is unknown; allowed: dmuca, paper, none"),
+        ("json:", "'json:' is unknown; allowed: dmuca, paper, none"),
+        ("a b:Law", "'a b:Law' is unknown"),
+    ],
+)
+def test_a_module_that_has_no_such_object_is_named(name, words):
+    with pytest.raises(ConfigError) as refused:
+        plugin_of(name)
+    assert words in str(refused.value)
+
+
 def test_a_law_of_our_own_cannot_be_replaced(site):
     plugged.install(site, "one", "class Law: pass", {plugins.LAWS: {"dmuca": "one:Law"}})
     assert plugin_of("dmuca") is None

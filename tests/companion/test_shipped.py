@@ -40,6 +40,17 @@ def test_other_names_stay_as_they_are(tmp_path, monkeypatch, text):
     assert shipped.given(text) == Path(text)
 
 
+def test_a_shipped_scenario_is_named_without_folder_and_ending(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert shipped.given("head_on", "scenarios") == ROOT / "config/scenarios/head_on.toml"
+    assert shipped.given("head_off", "scenarios") == Path("head_off")
+    assert (
+        shipped.given("config/scenarios/head_on.toml", "scenarios") == ROOT / "config/scenarios/head_on.toml"
+    )
+    (tmp_path / "head_on").touch()
+    assert shipped.given("head_on", "scenarios") == Path("head_on"), "a file of that name comes first"
+
+
 def test_a_configuration_may_name_a_profile_and_a_policy_that_are_shipped(tmp_path):
     path = tmp_path / "c.toml"
     path.write_text(IDENTITY + '[remote_id]\nregion = "us"\n[atmc]\npolicy = "atmc"\n')

@@ -32,10 +32,10 @@ from ground_tools.atmc.commands.places import Places, Square
 from ground_tools.atmc.env.channel import TorchChannel
 from ground_tools.atmc.env.deciders import Decider, Fixed, Rule, settle
 from ground_tools.atmc.env.environment import Env, EnvSettings, Observation
-from ground_tools.atmc.env.objective import AwarenessObjective, Objective, PaperObjective, costs
+from ground_tools.atmc.env.objective import Objective, PaperObjective, awareness_objective, costs
 from ground_tools.atmc.env.plugged import Plugged
 from ground_tools.atmc.env.search import search
-from ground_tools.atmc.env.tasks import AWARENESS_CHANNEL, REGIONS, ObjectiveName, RegionName
+from ground_tools.atmc.env.tasks import REGIONS, ObjectiveName, RegionName
 from ground_tools.atmc.env.world import SIDES_M, WorldSettings
 from ground_tools.atmc.learners.flat import flat, thawed
 from ground_tools.atmc.learners.set_network import SetNet
@@ -204,7 +204,7 @@ def objective_of(name: ObjectiveName) -> tuple[Objective, Sequence[Action]]:
     """The objective of this name with its channel, and its actions."""
     if name == "paper":
         return PaperObjective(TorchChannel(ChannelParameters(), PAPER_ACTIONS)), PAPER_ACTIONS
-    return AwarenessObjective(TorchChannel(AWARENESS_CHANNEL, SET_ACTIONS)), SET_ACTIONS
+    return awareness_objective(), SET_ACTIONS
 
 
 def rule_of(name: ObjectiveName, actions: Sequence[Action], allowed: Tensor) -> Rule:

@@ -13,7 +13,9 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from companion.atmc.actions import SET_ACTIONS
 from ground_tools.atmc.env.channel import Packets, Reach, TorchChannel
+from ground_tools.atmc.env.tasks import AWARENESS_CHANNEL
 from sitl_mocks.channel.parameters import MODES
 
 MISS_S = 3.0
@@ -173,3 +175,8 @@ def age_s(rate: Tensor) -> Tensor:
     """Expected age (s) for receptions at `rate` (1/s). Ages above MISS_S count as MISS_S."""
     at = rate.clamp(min=1e-4)
     return -torch.expm1(-at * MISS_S) / at
+
+
+def awareness_objective(device: torch.device | str = "cpu") -> AwarenessObjective:
+    """The objective of the policy that flies: sets of transports, and the airtimes of real packets."""
+    return AwarenessObjective(TorchChannel(AWARENESS_CHANNEL, SET_ACTIONS, torch.device(device)))

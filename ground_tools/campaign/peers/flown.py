@@ -70,9 +70,11 @@ def flown_by(law: str, companions: Mapping[str, AvoidanceConfig]) -> Flown:
     name = law.partition(":")[0]
     if name not in laws.PEERS and name != OWN:
         there = plugins.names(plugins.LAWS)
-        if law not in there:
+        if law not in there and not plugins.is_of_module(law):
             allowed = ", ".join([*companions, *laws.PEERS, omniscient.NAME, *there])
-            raise ConfigError(f"--law: {name} is unknown; allowed: {allowed}, or a plug-in's law")
+            raise ConfigError(
+                f"--law: {name} is unknown; allowed: {allowed}, a plug-in's law, or MODULE:CLASS"
+            )
         try:
             plugin = plugin_of(law)
         except ConfigError as error:

@@ -171,6 +171,8 @@ def _other_runs(folder: Path) -> str:
         return nothing
     newest = sorted(inside, key=lambda path: path.name, reverse=True)
     named = ", ".join(str(path) for path in newest[:_MOST_NAMED])
+    if len(inside) == 1:
+        return f"{nothing}, but one run; name it: {named}"
     return f"{nothing}, but {len(inside)} runs; name one of them; the newest: {named}"
 
 

@@ -139,13 +139,19 @@ def _on_manoeuvres(aircraft: Sequence[dict[str, Any]]) -> str:
 
 
 def _on_faults(aircraft: Sequence[dict[str, Any]]) -> str:
-    counts = Counter(
-        f"{row['what']}: {row['text']}" if row["what"] in ("vehicle", "companion") else row["what"]
-        for one in aircraft
-        for row in one["faults"]
-    )
+    counts = Counter(_fault(row) for one in aircraft for row in one["faults"])
     words = f"Faults and warnings: {counts.total()}"
     return f"{words}; {_most(counts.most_common())}" if counts else words
+
+
+def _fault(row: dict[str, Any]) -> str:
+    """A fault in the words of the first lines; of a doubt what it means, not the name of its flag."""
+    if row["what"] in ("vehicle", "companion"):
+        return f"{row['what']}: {row['text']}"
+    if row["what"].startswith("track "):
+        words = f"{row['what'].rpartition(': ')[0]}: {row['text'].partition(';')[0]}"
+        return words if row["until_s"] is None else f"{words} (withdrawn)"
+    return str(row["what"])
 
 
 def _most(counts: Iterable[tuple[str, int]]) -> str:

@@ -7,10 +7,12 @@ policy and the transmitted packets in each encounter. All methods fly the same e
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 import shutil
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +21,7 @@ from rich.console import Console
 from companion.config import AtmcConfig, names_file
 from companion.errors import ConfigError
 from companion.runtime.warm import warm_up
-from companion.shipped import given, shipped
+from companion.shipped import given, how_to_install, shipped
 from ground_tools.channel import options
 from ground_tools.common.figure import drawn
 from ground_tools.common.kept_lines import Kept
@@ -94,10 +96,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fly the missing encounters and show all results. Returns 0.
+    """Fly the missing encounters and show all results; no picture without matplotlib. Returns 0.
 
     Raises:
-        ConfigError: an option is wrong, a file cannot be read or written, or matplotlib is missing.
+        ConfigError: an option is wrong, or a file cannot be read or written.
     """
     _check(args)
     folder = args.out / NAME
@@ -108,18 +110,26 @@ def run(args: argparse.Namespace) -> int:
     cells, missing = plan(args, folder)
     words = Console(stderr=args.json)
     path = args.out / f"{NAME}.png"
-    with drawn(path, (15, 6.5)) as figure:
+    draws = importlib.util.find_spec("matplotlib") is not None
+    with drawn(path, (15, 6.5)) if draws else nullcontext() as figure:
         if missing:
             _fly(cells, missing, args.processes or os.cpu_count() or 1, words)
         rows = _shown(args, cells)
-        _draw(figure, rows)
+        if draws:
+            _draw(figure, rows)
     if args.json:
         for row in table.json_rows(rows):
             print(json.dumps(row, allow_nan=False))
     else:
         table.show(rows, words)
     _write(folder / "table.md", table.markdown(rows))
-    words.print(f"wrote {path}, {folder / 'table.md'}", soft_wrap=True, highlight=False)
+    table_file = folder / "table.md"
+    done = (
+        f"{path}, {table_file}"
+        if draws
+        else f"{table_file}; no picture: {how_to_install('matplotlib', 'inspect')}"
+    )
+    words.print(f"wrote {done}", soft_wrap=True, highlight=False, markup=False)
     return 0
 
 

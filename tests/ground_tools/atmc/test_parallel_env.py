@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
+from companion.atmc.actions import PAPER_ACTIONS
+from ground_tools.atmc.env.objective import awareness_objective
 from ground_tools.atmc.env.parallel_env import AtmcParallelEnv
 
 
@@ -36,3 +38,19 @@ def test_reward_is_the_paper_s():
         cost_s = np.array([info["delay_s"] for info in infos.values()])
         wanted = np.where(cost_s > 0, -cost_s + (cost_s.mean() - cost_s), 0.0)
         assert list(reward.values()) == pytest.approx(wanted, abs=1e-5)
+
+
+def test_the_task_of_the_policy_that_flies_has_one_reward_for_all(recwarn):
+    env = AtmcParallelEnv(aircraft=3, steps=20, objective=awareness_objective())
+    parallel_api_test(env, num_cycles=30)
+    assert env.action_space("uav_0").n > len(PAPER_ACTIONS)
+    env.reset(seed=3)
+    _, reward, _, _, infos = env.step(dict.fromkeys(env.agents, 4))
+    costs_s = [info["cost_s"] for info in infos.values()]
+    assert min(costs_s) >= 0.0 < max(costs_s)
+    assert list(reward.values()) == pytest.approx([-np.mean(costs_s)] * 3)
+
+
+def test_an_objective_has_its_own_actions():
+    with pytest.raises(ValueError, match="give none beside it"):
+        AtmcParallelEnv(actions=PAPER_ACTIONS, objective=awareness_objective())

@@ -32,6 +32,14 @@ def test_one_that_follows_its_path_flies_as_without_avoidance():
     assert mine.separation_m < campaign.SEPARATION_M
 
 
+def test_a_class_of_a_module_flies_as_the_plug_in_of_that_class():
+    by_module, by_name = (
+        campaign.fly(replace(CELL, law=law), [2])[0] for law in ("plugged_laws:Aside", "aside")
+    )
+    assert by_module.separation_m == by_name.separation_m
+    assert by_module.deviation_m == by_name.deviation_m
+
+
 def test_one_that_avoids_flies_otherwise(capsys):
     options = [
         "campaign",

@@ -225,10 +225,15 @@ def test_two_encounters_from_end_to_end(tmp_path, capsys, monkeypatch):
     assert lines[0]["sets"] != lines[1]["sets"]
     assert (tmp_path / "closed-loop.png").read_bytes().startswith(b"\x89PNG")
     assert "| sparse | ATMC | 2 |" in (tmp_path / "closed-loop" / "table.md").read_text()
-    # A second time nothing is flown.
+    # A second time nothing is flown, and the numbers need no matplotlib.
     monkeypatch.setattr(closed_loop, "_fly", None)
+    (tmp_path / "closed-loop.png").unlink()
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert command(*words[:-1], "--methods", "best-set", "atmc", "--policy", policy) == 0
-    assert "ATMC minus best legal set" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "ATMC minus best legal set" in told
+    assert "no picture: matplotlib is not installed" in told
+    assert not (tmp_path / "closed-loop.png").exists()
 
 
 @pytest.mark.parametrize(

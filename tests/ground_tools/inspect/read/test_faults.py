@@ -98,6 +98,18 @@ def test_a_doubt_that_is_withdrawn_is_one_row_with_its_end_and_meaning(tmp_path)
     assert row["text"] == f"{words}; a companion says so while it has no position to send"
 
 
+@pytest.mark.parametrize("withdrawn", [True, False])
+def test_the_first_lines_say_what_a_doubt_means(tmp_path, withdrawn):
+    flag = {"track_id": "TWO: B", "flag": "remote_id_failure"}
+    words = "it reports a failure of its Remote ID system"
+    steps = [step(0.0), step(1.0, TrackFlagged(text=words, **flag))]
+    steps += [step(2.0, TrackFlagged(text=f"no longer: {words}", **flag))] if withdrawn else []
+    write(tmp_path, ONE, steps)
+    (line,) = (line for line in headline.verdicts(describe(read_run(tmp_path))) if line.startswith("Faults"))
+    after = " (withdrawn)" if withdrawn else ""
+    assert line == f"Faults and warnings: 1; track TWO: B: {words}{after}"
+
+
 def test_what_happens_often_is_one_row_and_the_first_lines_count_it(tmp_path):
     steps = [step(float(k), events=(VehicleText(severity=3, text="ODID: lost"),)) for k in range(8)]
     write(tmp_path, ONE, steps)

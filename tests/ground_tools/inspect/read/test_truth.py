@@ -149,8 +149,9 @@ def test_an_aircraft_that_a_swarm_lacks_or_has_twice_is_said(
 
 
 def test_the_folder_of_all_runs_is_no_run(run_folder: Path) -> None:
-    with pytest.raises(ConfigError, match="no event record"):
+    with pytest.raises(ConfigError, match="no event record") as refused:
         read_run(run_folder.parent)
+    assert str(refused.value).endswith(f"but one run; name it: {run_folder}")
 
 
 def test_figures_agree_with_the_verdict_of_the_demo(tmp_path: Path) -> None:

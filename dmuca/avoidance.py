@@ -1,0 +1,12 @@
+"""`dmuca.avoidance` is `companion.avoidance`, also where it is imported by that name."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from companion.avoidance import *  # noqa: F403
+else:
+    sys.modules[__name__] = importlib.import_module("companion.avoidance")

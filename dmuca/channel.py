@@ -1,0 +1,12 @@
+"""`dmuca.channel` is `sitl_mocks.channel`, also where it is imported by that name."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sitl_mocks.channel import *  # noqa: F403
+else:
+    sys.modules[__name__] = importlib.import_module("sitl_mocks.channel")
