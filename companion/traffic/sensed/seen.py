@@ -83,7 +83,7 @@ def sight_of_scan(scan: ObstacleScan, pose: Pose, config: SensedConfig) -> Sight
     distances = {sector.number: sector.distance for sector in sectors if sector is not None}
     around = len(sectors) if whole else None
     for run in runs:
-        if _is_wide(run, half_rad) or _beside_nearer(run, distances, around):
+        if _is_wide(run, half_rad) or _is_coarse(run, half_rad) or _beside_nearer(run, distances, around):
             sight.surfaces.extend(sector.seen for sector in run)
         else:
             sight.objects.append(_object(run))
@@ -139,6 +139,15 @@ def _is_wide(run: Sequence[_Sector], half_rad: float) -> bool:
     distances = [sector.distance for sector in run]
     least_m = (len(run) - 2) * 2.0 * half_rad * min(distances)
     return least_m > OBJECT_M or max(distances) - min(distances) > OBJECT_M
+
+
+def _is_coarse(run: Sequence[_Sector], half_rad: float) -> bool:
+    """Whether several sectors, each of them too wide for an object, see one thing.
+
+    It has a place in each then: a single place in the middle of all would have a margin that is wider than it
+    is far away, so that nobody finds a way past it.
+    """
+    return len(run) > 1 and 2.0 * half_rad * min(sector.distance for sector in run) > OBJECT_M
 
 
 def _beside_nearer(run: Sequence[_Sector], distances: Mapping[int, float], around: int | None) -> bool:

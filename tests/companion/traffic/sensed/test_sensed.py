@@ -7,11 +7,11 @@ from itertools import pairwise
 
 import pytest
 
-from companion.avoidance.law import Law, Neighbour, Situation
+from companion.avoidance.law import SIGMAS, Law, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig, SensedConfig
 from companion.events import AdsbVehicle, Attitude, ObstaclePoint, ObstacleScan, SensedAircraft
-from companion.events.sensed import NOTHING, UNKNOWN, is_sensed
+from companion.events.sensed import NOTHING, SENSED_WALL, UNKNOWN, is_sensed
 from companion.traffic.sensed import objects, surfaces
 from companion.traffic.sensed.seen import MOST_POINTS
 from tests.companion.traffic.sensed.world import World, place
@@ -117,6 +117,30 @@ def test_a_wall_is_a_bounded_number_of_places_that_stand_and_leave_no_gap(east_m
     assert places[0] < east - 12.0
     assert places[-1] > east + 12.0
     assert max(b - a for a, b in pairwise(places)) < 12.0
+
+
+def test_a_wall_in_two_wide_sectors_has_a_place_in_each():
+    """One place in their middle would have a margin of nearly its distance."""
+    world = World(walls=[((20.0, -60.0, 0.0), (20.0, 60.0, 0.0))], step_deg=45.0, noise_m=0.0)
+    world.yaw_rad = math.radians(22.5)
+    world.run(2.0)
+    seen = world.seen()
+    assert len(seen) >= 2
+    assert all(other.track_id.startswith(SENSED_WALL) for other in seen)
+    for other in seen:
+        away = math.hypot(*place(other)[:2])
+        half = away * math.sin(math.radians(22.5))
+        assert half < SIGMAS * other.sigma_m < half + 4.0
+        assert away > 19.0
+
+
+def test_a_pole_in_one_wide_sector_is_an_object_somewhere_in_it():
+    world = World(things=lambda _: [(20.0, 3.0, 1.0)], step_deg=45.0, noise_m=0.0)
+    world.run(2.0)
+    (seen,) = world.seen()
+    assert not seen.track_id.startswith(SENSED_WALL)
+    n, e, _ = place(seen)
+    assert math.dist((n, e), (20.0, 3.0)) < SIGMAS * seen.sigma_m
 
 
 def test_the_margin_holds_the_sector_and_the_errors():
