@@ -129,9 +129,17 @@ def test_a_wall_in_two_wide_sectors_has_a_place_in_each():
     assert all(other.track_id.startswith(SENSED_WALL) for other in seen)
     for other in seen:
         away = math.hypot(*place(other)[:2])
-        half = away * math.sin(math.radians(22.5))
-        assert half < SIGMAS * other.sigma_m < half + 4.0
+        quarter = 0.5 * away * math.sin(math.radians(22.5))
+        assert quarter + 0.9 < SIGMAS * other.sigma_m < quarter + 4.0, "and three standard deviations"
         assert away > 19.0
+
+
+def test_two_narrow_sectors_that_see_one_thing_far_away_are_an_object():
+    """Each is wider than an object there, too, but neither is wide beside its distance."""
+    world = World(things=lambda _: [(70.0, 3.0, 3.2)], range_m=80.0, noise_m=0.0)
+    world.run(2.0)
+    assert sum(cm > NOTHING for cm in world.scan().distances_cm) == 2
+    assert not one(world).track_id.startswith(SENSED_WALL)
 
 
 def test_a_pole_in_one_wide_sector_is_an_object_somewhere_in_it():
