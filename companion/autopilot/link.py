@@ -67,6 +67,7 @@ from companion.events import (
     DownloadFence,
     DownloadMission,
     Event,
+    Firmware,
     GlobalPosition,
     LocalPosition,
     Say,
@@ -204,7 +205,7 @@ class AutopilotLink:
             try:
                 if frame.message_id in remote_id.MESSAGE_IDS:
                     self._take_remote_id(frame, now_s)
-                elif self._sensors.takes(frame, self._vehicle_system):
+                elif self._sensors.takes(frame, self._vehicle_system, self._firmware):
                     self._take_sensed(frame, now_s)
                 elif self._heard.is_ours(frame):
                     self._take(frame, now_s)
@@ -218,6 +219,10 @@ class AutopilotLink:
     @property
     def _vehicle_system(self) -> int | None:
         return None if self.vehicle is None else self.vehicle.system_id
+
+    @property
+    def _firmware(self) -> Firmware | None:
+        return None if self.vehicle is None else self.vehicle.firmware
 
     def _leave(self, frame: Frame) -> None:
         self.counts.foreign += 1
@@ -335,6 +340,9 @@ class AutopilotLink:
         self._mode_and_speed.advance(now_s)
         self._downloads.advance(now_s)
         self._events += self._texts.overdue(now_s)
+        seen = self._sensors.advance(now_s)
+        if seen is not None:
+            self._events.append(seen)
         return self._take_events()
 
     def _take_events(self) -> list[Event]:

@@ -1,8 +1,15 @@
-"""Reads what sensors aboard report of obstacles: OBSTACLE_DISTANCE, OBSTACLE_DISTANCE_3D and ADSB_VEHICLE.
+"""Reads what sensors aboard report of obstacles: OBSTACLE_DISTANCE, OBSTACLE_DISTANCE_3D, ADSB_VEHICLE and
+DISTANCE_SENSOR.
 
 They come from components of our own vehicle's system that the configuration names, or through the autopilot
 (PX4 sends on the distances that it fuses). ADSB_VEHICLE counts as a measurement only from a named component:
 from the autopilot it is what its receiver heard. The attitude comes from the autopilot alone.
+
+DISTANCE_SENSOR is read from ArduPilot alone, which reports by it what sensors wired to it (AP_Proximity) see
+in eight sectors around the nose, a message each, in one burst. A burst becomes one scan (`Burst`), because
+neighbouring sectors may see one thing. It is left out while finer measurements come (`FINER_S`): of a sensor
+whose messages ArduPilot takes in, too, it is only a coarse copy. ArduPilot sends nothing at all while no
+sector sees anything, as if the sensor had failed; SYS_STATUS tells the two apart.
 
 Everything here is untrusted. How many messages a second become events is bounded, so that a flood costs
 neither time nor space in the record; more are counted and dropped.
@@ -12,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -22,7 +29,7 @@ from companion.autopilot.readers import Fields, adsb_vehicle, unpack
 from companion.autopilot.wire import Frame
 from companion.config import SensedConfig
 from companion.errors import PeerDataError
-from companion.events import Attitude, Event, ObstaclePoint, ObstacleScan, SensedAircraft
+from companion.events import Attitude, Event, Firmware, ObstaclePoint, ObstacleScan, SensedAircraft
 from companion.events.sensed import NOTHING, UNKNOWN
 
 SECTORS: Final = 72
@@ -35,13 +42,31 @@ _ATTITUDE: Final = mavlink.MAVLINK_MSG_ID_ATTITUDE
 _SCAN: Final = mavlink.MAVLINK_MSG_ID_OBSTACLE_DISTANCE
 _POINT: Final = mavlink.MAVLINK_MSG_ID_OBSTACLE_DISTANCE_3D
 _AIRCRAFT: Final = mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE
+_DISTANCE: Final = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
+_STATUS: Final = mavlink.MAVLINK_MSG_ID_SYS_STATUS
+_OF_AUTOPILOT: Final = {
+    Firmware.ARDUPILOT: frozenset({_ATTITUDE, _SCAN, _POINT, _DISTANCE, _STATUS}),
+    Firmware.PX4: frozenset({_ATTITUDE, _SCAN, _POINT}),
+}
+DIRECTIONS: Final = 8
+FIRST_ID: Final = 10
+"""PROXIMITY_SENSOR_ID_START: the id of the sector ahead. The others follow clockwise. Lower ids are single
+rangefinders, and the one above is that of the distance upwards."""
+SETTLED_S: Final = 0.02
+"""A burst is over when nothing more of it came for so long."""
+FINER_S: Final = 3.0
+"""DISTANCE_SENSOR is not used for so long after an OBSTACLE_DISTANCE or OBSTACLE_DISTANCE_3D."""
+QUIET_S: Final = 0.5
+"""So long after the last burst, a sensor that the autopilot calls healthy sees nothing."""
 RATES: Final = {
     _ATTITUDE: (100.0, 20.0),
+    _DISTANCE: (20.0, 4.0),
+    _STATUS: (10.0, 4.0),
     _SCAN: (40.0, 8.0),
     _POINT: (600.0, 100.0),
     _AIRCRAFT: (100.0, 40.0),
 }
-"""Most messages of each kind that are read in a second, and at once."""
+"""Most messages of each kind that become events in a second, and at once; of DISTANCE_SENSOR, most bursts."""
 
 _SCAN_AXES: dict[int, Literal["body", "nose", "north"]] = {
     mavlink.MAV_FRAME_GLOBAL: "north",
@@ -155,6 +180,84 @@ SENSOR_READERS: Final[dict[int, Callable[[int, Fields], Event | None]]] = {
 """Readers of messages of sensors, each with the component that sent it."""
 
 
+class Sector(NamedTuple):
+    """One DISTANCE_SENSOR of AP_Proximity."""
+
+    number: int
+    """Sectors of 45 degrees from the nose clockwise: 0 to 7."""
+    cm: int
+    """Distance, or UNKNOWN or NOTHING."""
+    max_cm: int
+
+
+def proximity_sector(fields: Fields) -> Sector | None:
+    """DISTANCE_SENSOR of a horizontal sector; None if it is of another sensor.
+
+    ArduPilot writes the greatest distance of its sensors where it measures nothing: out of range, in an area
+    that it was told to ignore, or not measured for a second.
+
+    Raises:
+        PeerDataError: the direction is not the one of that id, or distances that are not ordered.
+    """
+    _ms, least, most, cm, _kind, number, orientation = fields[:7]
+    sector = number - FIRST_ID
+    if not 0 <= sector < DIRECTIONS:
+        return None
+    if orientation != sector:
+        raise PeerDataError(
+            f"DISTANCE_SENSOR: orientation {orientation} with id {number}; allowed: {sector}, which is "
+            f"{45 * sector} deg"
+        )
+    if not least < most:
+        raise PeerDataError(f"DISTANCE_SENSOR: min_distance {least} cm is not below max_distance {most} cm")
+    found = NOTHING if cm >= most else UNKNOWN if cm < max(least, 1) else cm
+    return Sector(sector, found, most)
+
+
+class Burst:
+    """Joins the sectors that ArduPilot sends one after the other to one scan. Times are monotonic."""
+
+    def __init__(self) -> None:
+        self._sectors: dict[int, Sector] = {}
+        self._at_s = -math.inf
+
+    def add(self, sector: Sector, now_s: float) -> ObstacleScan | None:
+        """Take in a sector. Returns the scan that it ends, if any: its own with the last sector, or the one
+        before if it is the first of a new burst."""
+        ended = self.take() if sector.number in self._sectors else None
+        self._sectors[sector.number], self._at_s = sector, now_s
+        return self.take() if sector.number == DIRECTIONS - 1 else ended
+
+    def settled(self, now_s: float) -> ObstacleScan | None:
+        """The scan of a burst of which nothing more came for some time: ArduPilot leaves out sectors that
+        never saw anything."""
+        return self.take() if self._sectors and not 0.0 <= now_s - self._at_s < SETTLED_S else None
+
+    def take(self) -> ObstacleScan | None:
+        """The scan of what came so far; None if nothing is known of it."""
+        sectors, self._sectors = self._sectors, {}
+        if all(one.cm == UNKNOWN for one in sectors.values()):
+            return None
+        distances = [sectors[i].cm if i in sectors else UNKNOWN for i in range(DIRECTIONS)]
+        return _around(tuple(distances), min(one.max_cm for one in sectors.values()))
+
+
+def _around(distances_cm: tuple[int, ...], max_cm: int) -> ObstacleScan:
+    return ObstacleScan(
+        component=AUTOPILOT_COMPONENT,
+        axes="body",
+        first_deg=0.0,
+        step_deg=360.0 / DIRECTIONS,
+        distances_cm=distances_cm,
+        max_cm=max_cm,
+    )
+
+
+def proximity_is_healthy(fields: Fields) -> bool:
+    """Whether SYS_STATUS says that the proximity sensors of an ArduPilot are there and work."""
+    return all(int(bits) & mavlink.MAV_SYS_STATUS_SENSOR_PROXIMITY for bits in fields[:3])
+
+
 class Sensors:
     """Decides which frames are measurements of sensors aboard, and reads them.
 
@@ -166,24 +269,31 @@ class Sensors:
         self.used = config is not None and config.use
         self._components = frozenset(config.components if config is not None and config.use else ())
         self._counts = counts
+        self._burst = Burst()
+        self._burst_s = self._finer_s = -math.inf
         self._left = {message_id: burst for message_id, (_, burst) in RATES.items()}
         self._filled_s = dict.fromkeys(RATES, -math.inf)
 
-    def takes(self, frame: Frame, system_id: int | None) -> bool:
-        """Whether a frame is a measurement. `system_id` is our vehicle's; None while it is not known."""
-        if not self.used or frame.system_id != system_id:
+    def takes(self, frame: Frame, system_id: int | None, firmware: Firmware | None) -> bool:
+        """Whether a frame is a measurement. `system_id` and `firmware` are our vehicle's; None while they are
+        not known."""
+        if not self.used or frame.system_id != system_id or firmware is None:
             return False
         if frame.component_id == AUTOPILOT_COMPONENT:
-            return frame.message_id in (_ATTITUDE, _SCAN, _POINT)
+            return frame.message_id in _OF_AUTOPILOT[firmware]
         return frame.component_id in self._components and frame.message_id in SENSOR_READERS
 
     def event(self, frame: Frame, now_s: float) -> Event | None:
-        """Read a frame that `takes` has accepted; None if it says nothing, or if there are too many.
+        """Read a frame that `takes` has accepted; None if it says nothing yet, or if there are too many.
 
         Raises:
             PeerDataError: it holds values that no correct sensor sends.
         """
         message_id = frame.message_id
+        if message_id == _DISTANCE:
+            sector = proximity_sector(unpack(message_id, frame.payload))
+            self._counts.sensed += sector is not None
+            return None if sector is None else self._whole(self._burst.add(sector, now_s), now_s)
         if not self._admits(message_id, now_s):
             self._counts.sensed_dropped += 1
             return None
@@ -191,7 +301,27 @@ class Sensors:
         fields: tuple[Any, ...] = unpack(message_id, frame.payload)
         if message_id == _ATTITUDE:
             return attitude(fields)
-        return SENSOR_READERS[message_id](frame.component_id, fields)
+        if message_id == _STATUS:
+            quiet = now_s - max(self._burst_s, self._finer_s) > QUIET_S
+            return _around((UNKNOWN,) * DIRECTIONS, 1) if quiet and proximity_is_healthy(fields) else None
+        event = SENSOR_READERS[message_id](frame.component_id, fields)
+        if message_id != _AIRCRAFT:
+            self._finer_s = now_s
+        return event
+
+    def advance(self, now_s: float) -> Event | None:
+        """What became whole by the time that passed."""
+        return self._whole(self._burst.settled(now_s), now_s)
+
+    def _whole(self, scan: ObstacleScan | None, now_s: float) -> Event | None:
+        """A scan of ArduPilot's sectors, if it is to be used."""
+        if scan is None or 0.0 <= now_s - self._finer_s < FINER_S:
+            return None
+        if not self._admits(_DISTANCE, now_s):
+            self._counts.sensed_dropped += 1
+            return None
+        self._burst_s = now_s
+        return scan
 
     def _admits(self, message_id: int, now_s: float) -> bool:
         rate, burst = RATES[message_id]

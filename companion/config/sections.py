@@ -217,7 +217,7 @@ class SensedConfig(_Section, frozen=True):
     components: Annotated[tuple[Annotated[int, Meta(ge=2, le=255)], ...], Meta(max_length=8)] = (196,)
     """MAVLink components of our own vehicle's system whose OBSTACLE_DISTANCE, OBSTACLE_DISTANCE_3D and
     ADSB_VEHICLE are measurements. 196 is MAV_COMP_ID_OBSTACLE_AVOIDANCE. The first two are also taken from
-    the autopilot."""
+    the autopilot, and DISTANCE_SENSOR from an ArduPilot alone."""
     min_range_m: Annotated[float, Meta(ge=0.2, le=20)] = 1.0
     """Nearer measurements are of the own vehicle (rotors, landing gear), and not used."""
     max_range_m: Annotated[float, Meta(ge=5, le=5000)] = 300.0

@@ -41,7 +41,8 @@ class Attitude(Event, frozen=True):
 
 
 class ObstacleScan(Event, frozen=True):
-    """OBSTACLE_DISTANCE: distances around the vehicle, one for each sector of a plane."""
+    """OBSTACLE_DISTANCE, or ArduPilot's burst of DISTANCE_SENSOR: distances around the vehicle, one for each
+    sector of a plane. None is known if the sensor works and ArduPilot sends nothing."""
 
     component: int
     """Component that measured."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -38,7 +38,7 @@ from sitl_mocks.vehicle.served.mission import MissionBook, checked_items, home_i
 from sitl_mocks.vehicle.served.mission_desk import MissionDesk
 from sitl_mocks.vehicle.served.params import ParamBook
 from sitl_mocks.vehicle.served.remote_id import ODID_MESSAGES, RemoteIdRelay
-from sitl_mocks.vehicle.telemetry import Telemetry
+from sitl_mocks.vehicle.telemetry import LISTS, Telemetry
 from sitl_mocks.vehicle.traffic import Traffic
 from sitl_mocks.vehicle.troubles import Answers, Troubles
 
@@ -311,8 +311,8 @@ class MockVehicle:
         builders = self._telemetry.builders
         for number, link in self._links.items():
             for message_id in link.due(at_s):
-                if message_id == _ADSB:
-                    for report in self.traffic.due(number, at_s):
+                if message_id in LISTS:
+                    for report in self._listed(message_id, number, at_s):
                         link.send(report)
                 elif (built := builders[message_id](at_s)) is not None:
                     link.send(built)
@@ -326,14 +326,18 @@ class MockVehicle:
             for message in self._remote_id.due(at_s):
                 self._links.send(message)
         if self.sensor is not None:
-            told = self._telemetry
-            for seen in self.sensor.due(
-                at_s, self.position_ned_m, told.position_ned_m(), told.attitude_rad()
-            ):
+            for seen in self.sensor.due(at_s, self.position_ned_m, *self._telemetry.pose()):
                 self._links.pass_on(seen)
         for asked, request in self._missions.tick(at_s):
             if asked in self._links:
                 self._links[asked].send(request)
+
+    def _listed(self, message_id: int, link: int, at_s: float) -> Sequence[MavlinkMessage]:
+        if message_id == _ADSB:
+            return self.traffic.due(link, at_s)
+        if self.sensor is None or self.troubles.proximity_lost:
+            return ()
+        return self.sensor.sectors(at_s, self.position_ned_m, self._telemetry.attitude_rad())
 
     def _after_change(self) -> None:
         """Tell everything that a step or a message has changed."""

@@ -141,6 +141,11 @@ class VehicleOptions:
                 raise ConfigError(f"parameter {name} is {value}; allowed: finite numbers")
         if self.did_enable and not MANNERS[self.firmware].has_did_params:
             raise ConfigError(f"did_enable is allowed only for ardupilot, not for {self.firmware.value}")
+        wired = self.sensor is not None and self.sensor.message == "proximity"
+        if wired and self.firmware is not Firmware.ARDUPILOT:
+            raise ConfigError(
+                f"sensor.message: proximity is allowed only for ardupilot, not for {self.firmware.value}"
+            )
         if self.did_require and not self.did_enable:
             raise ConfigError("did_require is allowed only with did_enable")
         modes = MANNERS[self.firmware].custom_modes

@@ -1,9 +1,9 @@
 """A sensor aboard the mock vehicle that sees poles, walls and aircraft, and reports them over MAVLink.
 
-It is a component of its own on the vehicle's system, whose frames the autopilot sends on. It sees within a
-range and a field of view, with errors, and misses things now and then. It is not stabilised: when the vehicle
-leans, its plane leans, too, and meets the ground. Things do not hide each other, except in the sectors of a
-scan.
+It is a component of its own on the vehicle's system, whose frames the autopilot sends on, or it is wired to
+an ArduPilot, which reports it itself, in eight sectors. It sees within a range and a field of view, with
+errors, and misses things now and then. It is not stabilised: when the vehicle leans, its plane leans, too,
+and meets the ground. Things do not hide each other, except in the sectors of a scan.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ from companion.geometry import LocalFrame, Vec3
 
 COMPONENT: Final = 196
 """MAV_COMP_ID_OBSTACLE_AVOIDANCE."""
+AUTOPILOT: Final = 1
 SECTORS: Final = 72
+WIRED_SECTORS: Final = 8
+"""Sectors of 45 degrees by which ArduPilot reports a sensor that is wired to it."""
 _WALL_STEP_M: Final = 1.0
 _POINTS_APART_M: Final = 3.0
 _POINT_HEIGHTS_M: Final = (-4.0, -2.0, 0.0, 2.0, 4.0)
@@ -86,8 +89,9 @@ class Obstacle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 class SensorOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the sensor sees and how it reports it."""
 
-    message: Literal["scan", "points", "tracks"] = "scan"
-    """scan: OBSTACLE_DISTANCE. points: OBSTACLE_DISTANCE_3D. tracks: ADSB_VEHICLE, with velocities."""
+    message: Literal["scan", "points", "tracks", "proximity"] = "scan"
+    """scan: OBSTACLE_DISTANCE. points: OBSTACLE_DISTANCE_3D. tracks: ADSB_VEHICLE, with velocities.
+    proximity: DISTANCE_SENSOR of an ArduPilot to which the sensor is wired; `step_deg` plays no part."""
     range_m: Annotated[float, Meta(ge=1, le=600)] = 40.0
     fov_deg: Annotated[float, Meta(gt=0, le=360)] = 360.0
     """Horizontal field of view, centred on the nose."""
@@ -128,16 +132,18 @@ class Sensor:
         self._most_sine = math.sin(math.radians(0.5 * options.vertical_deg))
         self._most_angle = math.radians(0.5 * options.fov_deg)
         self._next_s = -math.inf
-        self._writer = MavlinkWriter(system_id, COMPONENT)
+        self._ever: set[int] = set()
+        """Sectors of DISTANCE_SENSOR that have seen something."""
+        self._writer = MavlinkWriter(system_id, AUTOPILOT if options.message == "proximity" else COMPONENT)
 
     def due(self, now_s: float, position: Vec3, believed: Vec3, attitude: Attitude) -> list[bytes]:
-        """The frames to send now.
+        """The frames that the sensor's own component sends now: none if it is wired to the autopilot.
 
         Args:
             position: true position (NED, m), from which it sees.
             believed: position that the vehicle believes, from which tracks are placed.
         """
-        if now_s < self._next_s - _EPSILON_S:
+        if self._options.message == "proximity" or now_s < self._next_s - _EPSILON_S:
             return []
         self._next_s = now_s + 1.0 / self._options.rate_hz
         roll, pitch, yaw = attitude
@@ -149,6 +155,40 @@ class Sensor:
         else:
             messages = self._tracks(now_s, position, believed, rows, _rows(*attitude))
         return [self._writer.pack(message) for message in messages]
+
+    def sectors(self, now_s: float, position: Vec3, attitude: Attitude) -> list[MavlinkMessage]:
+        """The burst of DISTANCE_SENSOR by which ArduPilot reports a sensor that is wired to it: the nearest
+        distance in each sector. A sector that sees nothing has the greatest distance if it ever saw
+        something, and is left out otherwise. While none sees anything, there is no message at all.
+
+        Args:
+            position: true position (NED, m), from which it sees.
+        """
+        options = self._options
+        if options.message != "proximity":
+            return []
+        roll, pitch, yaw = attitude
+        rows = _rows(roll, pitch, yaw + self._turned_rad)
+        nearest = self._nearest(now_s, position, rows, WIRED_SECTORS)
+        valid = {number for number, distance in enumerate(nearest) if distance <= options.range_m}
+        self._ever |= valid
+        most = round(100.0 * options.range_m)
+        return [
+            mavlink.MAVLink_distance_sensor_message(
+                round(1e3 * max(now_s, 0.0)), 20, most,
+                max(1, round(100.0 * (nearest[number] + self._noise()))) if number in valid else most,
+                mavlink.MAV_DISTANCE_SENSOR_LASER, 10 + number, number, 0,
+            )
+            for number in sorted(self._ever)
+            if valid
+        ]  # fmt: skip
+
+    def burst(self, now_s: float, position: Vec3, attitude: Attitude) -> list[bytes]:
+        """The frames of `sectors`, as often as the sensor measures."""
+        if now_s < self._next_s - _EPSILON_S:
+            return []
+        self._next_s = now_s + 1.0 / self._options.rate_hz
+        return [self._writer.pack(message) for message in self.sectors(now_s, position, attitude)]
 
     def _noise(self) -> float:
         return self._options.range_sigma_m * float(self._rng.standard_normal())
@@ -203,18 +243,7 @@ class Sensor:
         options, step = self._options, math.radians(self._options.step_deg)
         count = min(SECTORS, round(math.tau / step))
         half = math.radians(0.5 * options.fov_deg)
-        nearest = [self._ground(number * step, position, rows) for number in range(count)]
-        for places, radius, _ in self._shapes(now_s, position, rows):
-            if self._missed():
-                continue
-            for place in places:
-                seen = self._sees(place, position, rows, radius)
-                if seen is None:
-                    continue
-                distance, angle, _ = seen
-                wide = math.asin(min(1.0, radius / (distance + radius)))
-                for number in range(round((angle - wide) / step), round((angle + wide) / step) + 1):
-                    nearest[number % count] = min(nearest[number % count], distance)
+        nearest = self._nearest(now_s, position, rows, count, step)
         cm = []
         for number, distance in enumerate(nearest):
             if abs(math.remainder(number * step, math.tau)) > half:
@@ -228,6 +257,24 @@ class Sensor:
             round(1e6 * max(now_s, 0.0)), mavlink.MAV_DISTANCE_SENSOR_LASER, cm, round(options.step_deg), 20,
             round(100.0 * options.range_m), options.step_deg, 0.0, mavlink.MAV_FRAME_BODY_FRD,
         )  # fmt: skip
+
+    def _nearest(
+        self, now_s: float, position: Vec3, rows: _Rows, count: int, step: float = math.tau / WIRED_SECTORS
+    ) -> list[float]:
+        """Distance to the nearest thing in each of `count` sectors that are `step` rad wide."""
+        nearest = [self._ground(number * step, position, rows) for number in range(count)]
+        for places, radius, _ in self._shapes(now_s, position, rows):
+            if self._missed():
+                continue
+            for place in places:
+                seen = self._sees(place, position, rows, radius)
+                if seen is None:
+                    continue
+                distance, angle, _ = seen
+                wide = math.asin(min(1.0, radius / (distance + radius)))
+                for number in range(round((angle - wide) / step), round((angle + wide) / step) + 1):
+                    nearest[number % count] = min(nearest[number % count], distance)
+        return nearest
 
     @staticmethod
     def _ground(angle: float, position: Vec3, rows: _Rows) -> float:

@@ -1,7 +1,7 @@
 """The messages that the mock vehicle sends by itself, each built from the present state.
 
-The vehicle does not know message ids that are not in `Telemetry.known`. ADSB_VEHICLE is built for each link
-by `sitl_mocks.vehicle.traffic`.
+The vehicle does not know message ids that are not in `Telemetry.known`. Those of `LISTS` come from
+`sitl_mocks.vehicle.traffic` and `sitl_mocks.vehicle.sensing`, several at a time or none.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ _SENSORS = (
     | mavlink.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
     | mavlink.MAV_SYS_STATUS_AHRS
 )
+LISTS = (mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE, mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR)
 _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
@@ -127,7 +128,7 @@ class Telemetry:
         if manners.tells_current_mode:
             builders[CURRENT_MODE] = self.current_mode
         self.builders: Mapping[int, Builder] = builders
-        self.known = frozenset((*builders, mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE))
+        self.known = frozenset((*builders, *LISTS))
 
     def boot_ns(self, now_s: float) -> int:
         """Time of the vehicle's own clock (ns)."""
@@ -265,6 +266,10 @@ class Telemetry:
         forward, right = cos * north + sin * east, cos * east - sin * north
         return math.atan2(right, _GRAVITY), -math.atan2(forward, _GRAVITY), body.yaw
 
+    def pose(self) -> tuple[Vec3, Vec3]:
+        """Position that the vehicle believes (NED, m), and roll, pitch and yaw."""
+        return self.position_ned_m(), self.attitude_rad()
+
     def _attitude(self, now_s: float) -> Payload:
         """ATTITUDE. Angular rates are not modelled."""
         packed = _SIX_FLOATS.pack(self._boot_ms(now_s), *self.attitude_rad(), 0.0, 0.0, 0.0)
@@ -280,8 +285,12 @@ class Telemetry:
         return mavlink.MAVLink_vfr_hud_message(speed, speed, heading, throttle, altitude, -vd)
 
     def _sys_status(self, now_s: float) -> MavlinkMessage:
+        sensor = self._options.sensor
+        wired = sensor is not None and sensor.message == "proximity"
+        there = _SENSORS | (mavlink.MAV_SYS_STATUS_SENSOR_PROXIMITY if wired else 0)
+        healthy = _SENSORS if self._troubles.proximity_lost else there
         return mavlink.MAVLink_sys_status_message(
-            _SENSORS, _SENSORS, _SENSORS, 100, self._millivolts, 0, self._percent, 0, 0, 0, 0, 0, 0
+            there, there, healthy, 100, self._millivolts, 0, self._percent, 0, 0, 0, 0, 0, 0
         )
 
     @property

@@ -47,8 +47,9 @@ _ANSWERS: tuple[Answers, ...] = ("right", "disobeyed", "unanswered", "denied")
 class Troubles:
     """Troubles and failsafes of one vehicle.
 
-    The caller may set `answers`, `battery_remaining`, `estimator_bad`, `gnss_lost`, `rc_connected` and
-    `sticks` at any time. They keep their values until they are set again, also across a reboot.
+    The caller may set `answers`, `battery_remaining`, `estimator_bad`, `gnss_lost`, `proximity_lost`,
+    `rc_connected` and `sticks` at any time. They keep their values until they are set again, also across a
+    reboot.
     """
 
     def __init__(
@@ -59,6 +60,8 @@ class Troubles:
         """Remaining share of the charge, 0 to 1."""
         self.estimator_bad = False
         self.gnss_lost = False
+        self.proximity_lost = False
+        """The sensor that is wired to the autopilot (`sensing.SensorOptions.message`) has failed."""
         self.rc_connected = rc_connected
         self.sticks = (0.0, 0.0, 0.0, 0.0)
         """Roll, pitch, throttle, yaw, each -1 to 1; 0 is centred."""
@@ -92,7 +95,7 @@ class Troubles:
         Raises:
             ConfigError: there is no such trouble, or it cannot have this value.
         """
-        switches = ("estimator_bad", "gnss_lost", "rc_connected")
+        switches = ("estimator_bad", "gnss_lost", "proximity_lost", "rc_connected")
         if name == "answers" and value in _ANSWERS:
             self.answers = value
         elif name in switches and isinstance(value, bool):

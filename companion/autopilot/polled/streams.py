@@ -41,6 +41,8 @@ STREAM_RATES_HZ: dict[int, float] = {
 SENSED_RATES_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 20.0,
     mavlink.MAVLINK_MSG_ID_OBSTACLE_DISTANCE: 10.0,
+    mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: 10.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
 }
 """Rates that are requested besides if a sensor of obstacles is read (`companion.autopilot.sensors`)."""
 
@@ -48,14 +50,23 @@ FIRMWARE_OF = {
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: Firmware.ARDUPILOT,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: Firmware.PX4,
     mavlink.MAVLINK_MSG_ID_OBSTACLE_DISTANCE: Firmware.PX4,
+    mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: Firmware.ARDUPILOT,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: Firmware.ARDUPILOT,
     CURRENT_MODE: Firmware.PX4,
 }
-"""Messages that only one firmware sends. The other one answers each request for them with a text."""
+"""Messages that only one firmware sends, or that are needed from one only. A firmware answers each request
+for a message that it does not know with a text."""
 
 COMES_HZ = {CURRENT_MODE: 2.0}
 """Rate at which a message comes while nothing changes, if that is not the requested rate."""
 
-SPORADIC = frozenset({mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE, mavlink.MAVLINK_MSG_ID_OBSTACLE_DISTANCE})
+SPORADIC = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE,
+        mavlink.MAVLINK_MSG_ID_OBSTACLE_DISTANCE,
+        mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR,
+    }
+)
 """Messages that come only when there is something to report. Their rate is an upper bound."""
 SPORADIC_REQUESTS = 3
 

@@ -23,6 +23,8 @@ OBJECT_M: Final = 5.0
 stand still."""
 MOST_POINTS: Final = 48
 """Most points of OBSTACLE_DISTANCE_3D that are used in one step, the nearest ones."""
+WIDE: Final = 0.15
+"""Sectors whose half width is a larger share of the distance are wide: those of more than 17 degrees."""
 _APART_M: Final = 2.0
 """Two places farther apart than this, and than what their sectors explain, are of two things."""
 _SLANT: Final = 2.5
@@ -83,7 +85,7 @@ def sight_of_scan(scan: ObstacleScan, pose: Pose, config: SensedConfig) -> Sight
     distances = {sector.number: sector.distance for sector in sectors if sector is not None}
     around = len(sectors) if whole else None
     for run in runs:
-        if _is_wide(run, half_rad) or _beside_nearer(run, distances, around):
+        if _is_wide(run, half_rad) or _is_coarse(run, half_rad) or _beside_nearer(run, distances, around):
             sight.surfaces.extend(sector.seen for sector in run)
         else:
             sight.objects.append(_object(run))
@@ -139,6 +141,16 @@ def _is_wide(run: Sequence[_Sector], half_rad: float) -> bool:
     distances = [sector.distance for sector in run]
     least_m = (len(run) - 2) * 2.0 * half_rad * min(distances)
     return least_m > OBJECT_M or max(distances) - min(distances) > OBJECT_M
+
+
+def _is_coarse(run: Sequence[_Sector], half_rad: float) -> bool:
+    """Whether several wide sectors, each of them wider than an object, see one thing.
+
+    It has a place in each then: a single place in the middle of all would have a margin that is wider than it
+    is far away, so that nobody finds a way past it.
+    """
+    nearest = min(sector.distance for sector in run)
+    return len(run) > 1 and math.sin(half_rad) > WIDE and 2.0 * half_rad * nearest > OBJECT_M
 
 
 def _beside_nearer(run: Sequence[_Sector], distances: Mapping[int, float], around: int | None) -> bool:

@@ -35,9 +35,9 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         f"{UNHEARD}: both aircraft (default: all)")  # fmt: skip
     add("--range", type=float, nargs="+", default=[cell.range_m], metavar="M",
         help=f"how far the sensor sees, m; several fly a line each (default: {cell.range_m:g})")  # fmt: skip
-    add("--message", choices=("scan", "points", "tracks"), default=cell.message,
-        help="what the sensor sends: OBSTACLE_DISTANCE, OBSTACLE_DISTANCE_3D or ADSB_VEHICLE (default: "
-        "scan)")  # fmt: skip
+    add("--message", choices=("scan", "points", "tracks", "proximity"), default=cell.message,
+        help="what the sensor sends: OBSTACLE_DISTANCE, OBSTACLE_DISTANCE_3D, ADSB_VEHICLE, or "
+        "DISTANCE_SENSOR of an ArduPilot to which it is wired (default: scan)")  # fmt: skip
     add("--fov", type=float, default=cell.fov_deg, metavar="DEG",
         help="field of view around the nose (default: 360)")  # fmt: skip
     add("--speed", type=float, default=cell.speed_mps, metavar="MPS",

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from companion.autopilot.counts import LinkCounts
-from companion.autopilot.sensors import Sensors
+from companion.autopilot.sensors import SETTLED_S, Sensors
 from companion.autopilot.wire import FrameScanner
 from companion.avoidance.law import separation_m
 from companion.config import (
@@ -82,6 +82,8 @@ class Seeing(Guided):
     def __init__(self, cell: Cell, scene: Scene, rng: np.random.Generator) -> None:
         path = (BEGIN_S, scene.planned(BEGIN_S)), (END_S + 60.0, scene.planned(END_S + 60.0))
         firmware = Firmware.PX4 if rng.random() < 0.5 else Firmware.ARDUPILOT
+        if cell.message == "proximity":
+            firmware = Firmware.ARDUPILOT
         super().__init__("OWN", _config(cell, path), firmware, path, rng)
         options = SensorOptions(
             message=cell.message, range_m=cell.range_m, fov_deg=cell.fov_deg, rate_hz=cell.rate_hz
@@ -89,6 +91,8 @@ class Seeing(Guided):
         self._sensor = Sensor(options, (scene.obstacle,), _FRAME, rng.spawn(1)[0], 1)
         self._scanner = FrameScanner()
         self._readers = Sensors(self.core.config.sensed, LinkCounts(wire=self._scanner.counts))
+        self._firmware = firmware
+        self._wired = cell.message == "proximity"
         self._yaw = scene.heading_rad
         self._before = self.body.velocity
         self.saw_s: float | None = None
@@ -100,9 +104,14 @@ class Seeing(Guided):
         believed = self._believed()
         events: list[Event] = [
             Attitude(time_boot_s=now_s, roll_rad=attitude[0], pitch_rad=attitude[1], yaw_rad=attitude[2]),
-            *self._read(self._sensor.due(now_s, self.body.position, believed, attitude), now_s),
+            *self._read(self._measured(now_s, believed, attitude), now_s),
         ]
         self.step(now_s, events)
+
+    def _measured(self, now_s: float, believed: Vec3, attitude: Vec3) -> list[bytes]:
+        if self._wired:
+            return self._sensor.burst(now_s, self.body.position, attitude)
+        return self._sensor.due(now_s, self.body.position, believed, attitude)
 
     def _obey(self, command: Command, now_s: float) -> None:
         super()._obey(command, now_s)
@@ -133,12 +142,15 @@ class Seeing(Guided):
         found = []
         for frame in self._scanner.frames(b"".join(frames)):
             try:
-                event = self._readers.event(frame, now_s) if self._readers.takes(frame, 1) else None
+                taken = self._readers.takes(frame, 1, self._firmware)
+                event = self._readers.event(frame, now_s) if taken else None
             except PeerDataError:
                 continue
             if event is not None:
                 found.append(event)
-        return found
+        # Nothing more of a burst comes in this step.
+        whole = self._readers.advance(now_s + 2.0 * SETTLED_S)
+        return found if whole is None else [*found, whole]
 
 
 def fly(cell: Cell, seed: int) -> Row:

@@ -34,7 +34,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     kind: Kind
     range_m: Annotated[float, Meta(ge=5, le=600)] = 40.0
     """How far the sensor sees."""
-    message: Literal["scan", "points", "tracks"] = "scan"
+    message: Literal["scan", "points", "tracks", "proximity"] = "scan"
     fov_deg: Annotated[float, Meta(gt=0, le=360)] = 360.0
     rate_hz: Annotated[float, Meta(ge=1, le=20)] = 10.0
     speed_mps: Annotated[float, Meta(ge=1, le=30)] = 5.0

@@ -159,8 +159,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--quirk", action="append", default=[], metavar="NAME=VALUE", help="change one behaviour of the "
         "firmware, for example nose_follows_velocity=false or loss_mode=hold; may be repeated")  # fmt: skip
-    add("--sensor", choices=["scan", "points", "tracks"], help="a sensor aboard that sees obstacles, and the "
-        "message it sends: OBSTACLE_DISTANCE, OBSTACLE_DISTANCE_3D or ADSB_VEHICLE")  # fmt: skip
+    add("--sensor", choices=["scan", "points", "tracks", "proximity"], help="a sensor aboard that sees "
+        "obstacles, and the message it sends: OBSTACLE_DISTANCE, OBSTACLE_DISTANCE_3D, ADSB_VEHICLE, or "
+        "DISTANCE_SENSOR of an ArduPilot to which it is wired")  # fmt: skip
     add("--sensor-range", type=float, default=SensorOptions().range_m, metavar="M",
         help="how far the sensor sees (default: %(default)g)")  # fmt: skip
     add("--obstacle", action="append", default=[], metavar="KIND:N,E,...",

@@ -18,8 +18,16 @@ from companion.config import (
     VehicleConfig,
     Waypoint,
 )
-from companion.events import Decision, Firmware, ObstaclePoint, ObstacleScan, SensedAircraft, VelocitySetpoint
-from companion.events.sensed import is_sensed
+from companion.events import (
+    Decision,
+    Firmware,
+    ObstaclePoint,
+    ObstacleScan,
+    Say,
+    SensedAircraft,
+    VelocitySetpoint,
+)
+from companion.events.sensed import NOTHING, UNKNOWN, is_sensed
 from sitl_mocks.vehicle.sensing import Obstacle, SensorOptions
 from tests.sitl_mocks.onboard.pair import Pair
 from tests.support.place import HOME
@@ -134,6 +142,61 @@ def test_one_at_10_mps_is_not_hit(course_deg):
 def test_a_narrow_view_suffices_for_what_lies_ahead():
     pair = flown(pole(), sensor=SensorOptions(fov_deg=90.0))
     assert least_m(pair, pole()) > 8.0
+
+
+def wired(*obstacles: Obstacle, seconds: float = 60.0, **options: object) -> Pair:
+    """An ArduPilot that reports the sensor that is wired to it."""
+    return flown(
+        *obstacles, firmware=Firmware.ARDUPILOT, sensor=sensor("proximity"), seconds=seconds, **options
+    )
+
+
+def test_what_ardupilot_reports_of_a_pole_is_avoided():
+    pair = wired(pole(), seconds=80.0)
+    assert least_m(pair, pole()) > 10.0
+    assert pair.places[-1][0] > 90.0, "it flies on behind it"
+    scans = [scan for scan in pair.events(ObstacleScan) if max(scan.distances_cm) > NOTHING]
+    assert {scan.step_deg for scan in scans} == {45.0}
+    assert {scan.component for scan in scans} == {1}
+
+
+def test_a_wall_across_the_path_in_sectors_of_45_deg():
+    """It stays well clear of it, and does not fly away."""
+    wall = Obstacle(kind="wall", at_ned_m=(70.0, -200.0, 0.0), to_ned_m=(70.0, 200.0, 0.0))
+    pair = wired(wall, seconds=90.0)
+    assert 12.0 < least_m(pair, wall) < 30.0
+    assert min(place[0] for place in pair.places) > -1.0
+
+
+def test_a_short_wall_in_sectors_of_45_deg_is_passed():
+    wall = Obstacle(kind="wall", at_ned_m=(60.0, -5.0, 0.0), to_ned_m=(60.0, 5.0, 0.0))
+    pair = wired(wall, seconds=100.0)
+    assert least_m(pair, wall) > 10.0
+    assert pair.places[-1][0] > 90.0
+
+
+def test_a_wired_sensor_that_nobody_uses_changes_no_command():
+    silent, heard = (
+        flown(pole(), firmware=Firmware.ARDUPILOT, use=False, sensor=which, seconds=20.0)
+        for which in (None, sensor("proximity"))
+    )
+    assert silent.sent == heard.sent
+    assert not heard.events(ObstacleScan)
+
+
+def test_the_pilot_is_told_when_a_wired_sensor_fails_and_not_when_it_sees_nothing():
+    pair = wired(pole(north=-20.0), seconds=30.0)
+    scans = pair.events(ObstacleScan)
+    assert any(max(scan.distances_cm) > NOTHING for scan in scans)
+    assert max(scans[-1].distances_cm) == UNKNOWN, "the pole is out of range"
+    assert not silent_texts(pair)
+    pair.vehicle.troubles.proximity_lost = True
+    pair.run(10.0)
+    assert len(silent_texts(pair)) == 1
+
+
+def silent_texts(pair: Pair) -> list[str]:
+    return [said.text for said in pair.commands(Say) if "obstacle sensor" in said.text]
 
 
 def test_sensed_tracks_are_named_and_the_flight_replays_bit_for_bit():

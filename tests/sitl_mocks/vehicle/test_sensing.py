@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkReader
 from companion.errors import ConfigError
-from sitl_mocks.vehicle.options import HOME
+from companion.events import Firmware
+from sitl_mocks.vehicle.options import HOME, VehicleOptions
 from sitl_mocks.vehicle.real_time import server
 from sitl_mocks.vehicle.sensing import COMPONENT, Obstacle, Sensor, SensorOptions
 
@@ -72,6 +73,51 @@ def test_a_vehicle_that_leans_sees_the_ground():
 
 def test_other_aircraft_are_seen():
     assert hits(seen(others=[((20.0, 0.0, -50.0), (0.0, 0.0, 0.0))])[0]) == {0: 1950}
+
+
+def sectors(*obstacles, attitude=LEVEL, sensor=None):
+    sensor = sensor or wired(*obstacles)
+    return {m.id - 10: m for m in sensor.sectors(0.0, HERE, attitude)}
+
+
+def wired(*obstacles):
+    options = SensorOptions(**EXACT, message="proximity")
+    return Sensor(options, obstacles, HOME, np.random.default_rng(1), 1)
+
+
+def test_a_wired_sensor_has_eight_sectors():
+    found = sectors(pole(0.0, 20.0), pole(-10.0, 0.0), pole(10.0, 10.0), pole(20.0, 20.0))
+    assert {i: m.current_distance for i, m in found.items()} == {1: 1384, 2: 1970, 4: 970}
+    assert all(m.orientation == i for i, m in found.items())
+    assert {(m.min_distance, m.max_distance) for m in found.values()} == {(20, 4000)}
+
+
+def test_the_nose_turns_the_sectors_of_a_wired_sensor():
+    assert set(sectors(pole(0.0, 20.0), attitude=(0.0, 0.0, math.radians(90.0)))) == {0}
+
+
+def test_a_sector_that_saw_something_once_has_the_greatest_distance_later():
+    """And while no sector sees anything, ArduPilot sends none."""
+    sensor = wired(pole(0.0, 20.0))
+    turned = (0.0, 0.0, math.radians(90.0))
+    assert set(sectors(sensor=sensor)) == {2}
+    later = sectors(sensor=sensor, attitude=turned)
+    assert {i: m.current_distance for i, m in later.items()} == {0: 1970, 2: 4000}
+    assert not sensor.sectors(0.0, (0.0, 300.0, -50.0), LEVEL)
+
+
+def test_a_wired_sensor_sends_nothing_itself():
+    sensor = wired(pole(0.0, 20.0))
+    assert sensor.due(0.0, HERE, HERE, LEVEL) == []
+    frames = [sensor.burst(0.02 * i, HERE, LEVEL) for i in range(100)]
+    (message,) = MavlinkReader().feed(frames[0][0])
+    assert (message.get_srcComponent(), message.id) == (1, 12)
+    assert sum(map(len, frames)) == 20
+
+
+def test_only_an_ardupilot_has_a_wired_sensor():
+    with pytest.raises(ConfigError, match="proximity"):
+        VehicleOptions(firmware=Firmware.PX4, sensor=SensorOptions(message="proximity"))
 
 
 def test_points_are_along_the_body():

@@ -7,11 +7,11 @@ from itertools import pairwise
 
 import pytest
 
-from companion.avoidance.law import Law, Situation
+from companion.avoidance.law import SIGMAS, Law, Situation
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.events import ObstacleScan
-from companion.events.sensed import NOTHING, UNKNOWN
+from companion.events.sensed import NOTHING, SENSED_WALL, UNKNOWN
 from companion.traffic.sensed import objects, surfaces
 from tests.companion.traffic.sensed.world import World, aircraft, off, one, place, point
 
@@ -103,6 +103,38 @@ def test_a_wall_is_a_bounded_number_of_places_that_stand_and_leave_no_gap(east_m
     assert places[0] < east - 12.0
     assert places[-1] > east + 12.0
     assert max(b - a for a, b in pairwise(places)) < 12.0
+
+
+def test_a_wall_in_two_wide_sectors_has_a_place_in_each():
+    """One place in their middle would have a margin of nearly its distance."""
+    world = World(walls=[((20.0, -60.0, 0.0), (20.0, 60.0, 0.0))], step_deg=45.0, noise_m=0.0)
+    world.yaw_rad = math.radians(22.5)
+    world.run(2.0)
+    seen = world.seen()
+    assert len(seen) >= 2
+    assert all(other.track_id.startswith(SENSED_WALL) for other in seen)
+    for other in seen:
+        away = math.hypot(*place(other)[:2])
+        quarter = 0.5 * away * math.sin(math.radians(22.5))
+        assert quarter + 0.9 < SIGMAS * other.sigma_m < quarter + 4.0, "and three standard deviations"
+        assert away > 19.0
+
+
+def test_two_narrow_sectors_that_see_one_thing_far_away_are_an_object():
+    """Each is wider than an object there, too, but neither is wide beside its distance."""
+    world = World(things=lambda _: [(70.0, 3.0, 3.2)], range_m=80.0, noise_m=0.0)
+    world.run(2.0)
+    assert sum(cm > NOTHING for cm in world.scan().distances_cm) == 2
+    assert not one(world).track_id.startswith(SENSED_WALL)
+
+
+def test_a_pole_in_one_wide_sector_is_an_object_somewhere_in_it():
+    world = World(things=lambda _: [(20.0, 3.0, 1.0)], step_deg=45.0, noise_m=0.0)
+    world.run(2.0)
+    (seen,) = world.seen()
+    assert not seen.track_id.startswith(SENSED_WALL)
+    n, e, _ = place(seen)
+    assert math.dist((n, e), (20.0, 3.0)) < SIGMAS * seen.sigma_m
 
 
 def test_the_margin_holds_the_sector_and_the_errors():

@@ -33,6 +33,17 @@ def test_a_flight_keeps_away_and_is_the_same_each_time(kind):
     assert row.seen_s > 0.0
 
 
+@pytest.mark.parametrize("kind", ["pole", "wall", "unheard-5"])
+def test_what_an_ardupilot_reports_of_its_own_sensor_is_flown(kind):
+    cell = Cell(kind=kind, message="proximity")
+    row = flight.fly(cell, 4)
+    assert row == flight.fly(cell, 4)
+    assert row.unavoided_m < 8.0
+    assert row.separation_m > 10.0
+    assert row.seen_s is not None
+    assert row.separation_m != flight.fly(Cell(kind=kind), 4).separation_m
+
+
 def test_a_sensor_that_sees_nothing_in_time_saves_nobody():
     row = flight.fly(Cell(kind="unheard-10", range_m=5.0), 3)
     assert row.separation_m == pytest.approx(row.unavoided_m, abs=6.0)
