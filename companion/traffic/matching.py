@@ -32,6 +32,9 @@ _JOINED_WITHIN_M = 15.0
 """Two tracks are merged only if they are this near to each other. An aircraft's positions on two transports
 come from one GNSS receiver. With a larger distance, a sender with a copied identity could remove another's
 track."""
+_TWIN_MEMORY_S = 60.0
+"""For this long after another track of the same identity was there, a track is matched only to messages near
+it; others may still be from the other aircraft."""
 _TURN_MPS2, _TURN_MPS = 6.0, 3.5
 """A velocity may differ from the track's by `_TURN_MPS`, and by `_TURN_MPS2` times the time between."""
 _PRETENDED_MPS2, _PRETENDED_MPS = 12.0, 6.0
@@ -70,7 +73,7 @@ def match(
         elapsed, noise = abs(at - track.sample_s), fix.sigma_m + track.sigma_m
         if several:
             track.beside_s = now_s
-        twins = track.contested(now_s)
+        twins = now_s - track.beside_s <= _TWIN_MEMORY_S
         others = track.fed_by.get(source.about.transport) != source.key
         if others and source.key in track.sources:
             continue

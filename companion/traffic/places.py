@@ -3,8 +3,6 @@
 A track whose messages contradict one another is avoided at each of the places that they told (`Belief`). The
 name of such a place is that of the track with `ASIDE` and a number. A track whose signal strength contradicts
 its position is avoided also at the place that it points to; its name is that of the track and `SIGNAL_PLACE`.
-Where several tracks share an identity, messages of two senders may look like manoeuvres of one. Their margin
-for manoeuvres yields to everything else, and stands in a neighbour of its own (`MANOEUVRES`).
 """
 
 from __future__ import annotations
@@ -25,8 +23,6 @@ from companion.traffic.track import Track
 
 SIGNAL_PLACE: Final = f"{ASIDE}signal"
 """What is added to the name of a track for the place that its signal strength points to."""
-MANOEUVRES: Final = f"{ASIDE}manoeuvres"
-"""What is added to the name of a track for its volume with the margin for manoeuvres."""
 _MOST_ASIDE: Final = 50
 """Most places besides those of the tracks that the law is given."""
 _CROWD: Final = 5
@@ -40,10 +36,7 @@ def neighbours_of(
     loss_s: Callable[[Belief], float],
     now_s: float,
 ) -> list[Neighbour]:
-    """Every track, in order; then the other places where they may be.
-
-    Those are the volumes with margins for manoeuvres that yield, the places that their signal strength points
-    to, and the places where they were lately reported.
+    """Every track, in order; then where their signal strength points to, and where they were lately reported.
 
     Args:
         groups: number of tracks in each group.
@@ -71,13 +64,6 @@ def neighbours_of(
         )
         for t in tracks
     ]
-    manoeuvring = []
-    for row, track in enumerate(tracks):
-        other = present[row]
-        if track.contested(now_s) and (other.growth_mps or other.growth_down_mps):
-            wide = msgspec.structs.replace(other, track_id=other.track_id + MANOEUVRES, yields=True)
-            manoeuvring.append(wide)
-            present[row] = msgspec.structs.replace(other, growth_mps=0.0, growth_down_mps=0.0)
     signalled = [
         _signalled(other, track.signal.suspicion)
         for other, track in zip(present, tracks, strict=True)
@@ -93,7 +79,6 @@ def neighbours_of(
         aside = heapq.nsmallest(_MOST_ASIDE, aside, key=itemgetter(0, 1))
     return (
         present
-        + manoeuvring
         + signalled
         + [
             msgspec.structs.replace(

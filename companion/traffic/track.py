@@ -31,8 +31,6 @@ _DECLARED_S = 2.0
 _LASTING_S = 1.3
 """A contradicted state is believed for this much longer than a track may be silent, so that one lost message
 hides nobody."""
-_TWIN_MEMORY_S = 60.0
-"""For this long after another track of its identity, messages may still be those of the other aircraft."""
 _BELIEFS = 4
 """Most states that a track is believed to be in. The least urgent one is given up."""
 HIGH_M = 10.0
@@ -317,10 +315,6 @@ class Track:
     def flags(self) -> frozenset[Flag]:
         """Flags that are raised now."""
         return frozenset(self.doubts.flags)
-
-    def contested(self, now_s: float) -> bool:
-        """Whether its messages may be those of two senders under one identity."""
-        return now_s - self.beside_s <= _TWIN_MEMORY_S
 
     @property
     def proven(self) -> bool:

@@ -334,12 +334,8 @@ class Allowances:
     def _tell_squeeze(self, now_s: float, result: LawResult) -> None:
         """Log that tracks which press yield to another in our way."""
         acting = [view for view in result.tracks if view.conflict or view.active]
+        yielding = [view.track_id for view in acting if view.yields]
         others = [view.track_id.partition(ASIDE)[0] for view in acting if not view.yields]
-        yielding = [
-            view.track_id
-            for view in acting
-            if view.yields and view.track_id.partition(ASIDE)[0] not in others
-        ]
         if not yielding or not others:
             return
         if now_s - self._squeezed_s > _SQUEEZED_S:

@@ -7,9 +7,6 @@ import random
 
 import pytest
 
-from companion.avoidance.kernels import GROWTH_MOST_MPS
-from companion.avoidance.law import ASIDE
-from companion.traffic.places import MANOEUVRES
 from companion.traffic.plausibility import Flag
 from companion.traffic.track import Wander
 from tests.companion.traffic.flights import Listener, basic, circle, fly, location, seconds, straight
@@ -162,24 +159,3 @@ def test_one_miss_is_no_wander_and_many_fade():
         wander.note(1.0, 1.0, 4.0, 12.0 + second)
     assert wander == Wander(at_s=wander.at_s)
     assert wander.error_m == 0.0
-
-
-def test_the_margin_for_manoeuvres_yields_while_two_senders_share_the_name():
-    """What looks like manoeuvres of one sender may be the messages of two."""
-    listener = Listener()
-    circling = circle(10.0, 5.0)
-    fly(listener, circling, seconds(20))
-    (alone,) = listener.traffic.neighbours(40.0)
-    assert (alone.growth_mps, alone.yields) == (GROWTH_MOST_MPS, False)
-
-    for k in range(40, 60):
-        fly(listener, circling, [float(k)])
-        fly(listener, aside(60.0, circling), [k + 0.2])
-    around = {n.track_id: n for n in listener.traffic.neighbours(60.0)}
-    tracks = {name: n for name, n in around.items() if ASIDE not in name}
-    assert len(tracks) == 2
-    for name, track in tracks.items():
-        assert (track.growth_mps, track.growth_down_mps, track.yields) == (0.0, 0.0, False)
-        wide = around[name + MANOEUVRES]
-        assert (wide.growth_mps, wide.yields) == (GROWTH_MOST_MPS, True)
-        assert (wide.position_ned_m, wide.age_s) == (track.position_ned_m, track.age_s)

@@ -437,14 +437,6 @@ def test_it_is_told_once_that_a_track_yields_to_another():
     assert told() == ["A yields to B"] * 2
 
 
-def test_a_track_yields_to_nothing_of_its_own():
-    """Its volume with a margin for manoeuvres yields from the beginning (`traffic.places`)."""
-    sky, track = Sky(), other("A", at=(90.0, 0.0, 0.0))
-    wide = msgspec.structs.replace(track, track_id=f"A{ASIDE}manoeuvres", growth_mps=3.0, yields=True)
-    sky.run(3.0, track, wide)
-    assert not any(isinstance(c, AllowanceSpent) for c in sky.told)
-
-
 def test_it_is_recorded_when_a_total_is_whole_again():
     sky = Sky(msgspec.structs.replace(SHORT, track_s=300.0))
     sky.run(101.0, other("A"))
