@@ -22,8 +22,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bench.bench_core import NEIGHBOURS, heard
-from bench.figures import target
-from bench.memory import memory_mb
+from bench.measuring.figures import target
+from bench.measuring.memory import memory_mb
 from companion.radio.ether import datagrams
 from companion.radio.ether.datagrams import Heard, Welcome
 from companion.radio.frames_io import FrameSender, radio_address

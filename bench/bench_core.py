@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from bench.figures import least_of_each, target
+from bench.measuring.figures import least_of_each, target
 from companion.authority.table import HOLDING
 from companion.avoidance import kernels
 from companion.config import Config, FlightConfig, IdentityConfig, TrajectoryFile, Waypoint

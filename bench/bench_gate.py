@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from bench.figures import least_of_each, target
+from bench.measuring.figures import least_of_each, target
 from companion.autopilot.encoders import velocity_setpoint
 from companion.autopilot.wire import MavlinkWriter
 from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig

@@ -11,7 +11,7 @@ from companion.events import RemoteIdHeard
 from companion.remote_id.messages import BasicId, IdType, Location, SelfId, UaType
 from companion.traffic.flood import choice
 from companion.traffic.tracks import Traffic
-from tests.companion.traffic.test_eviction import heard
+from tests.companion.traffic.attacks.test_eviction import heard
 from tests.support.place import HOME
 
 UTC_OFFSET_S = 1_767_225_600.0

@@ -19,7 +19,7 @@ from companion.remote_id.codec import read_payload
 from companion.remote_id.messages import Location
 from companion.traffic.tracks import Traffic
 
-DECODED = Path(__file__).resolve().parents[4] / "shared" / "data" / "remote_id" / "captures_decoded.json"
+DECODED = Path(__file__).resolve().parents[5] / "shared" / "data" / "remote_id" / "captures_decoded.json"
 
 pytestmark = pytest.mark.skipif(
     not DECODED.is_file(), reason=f"real captures are not here: {DECODED} is missing"

@@ -29,7 +29,7 @@ from companion.events import (
 )
 from tests.companion.conftest import Bench, config, mission
 from tests.companion.core.conftest import intruder
-from tests.companion.core.guarding import meet, modes, over, taken
+from tests.companion.core.guarded.guarding import meet, modes, over, taken
 
 TWO = TwoAutopilots(reason="two autopilots on this link (systems 1 and 2): set vehicle.system_id")
 

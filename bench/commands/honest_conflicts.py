@@ -1,4 +1,4 @@
-"""`python -m bench.honest_conflicts TABLE SEEDS`: how long, and how far, honest traffic moves an aircraft.
+"""`python -m bench.commands.honest_conflicts TABLE SEEDS`: how long and how far honest traffic moves us.
 
 Flies the cells of a table of docs/safety.md (without the twins and the paper's law) and prints a line of
 JSON for each: of all avoiding aircraft the median, the 99 and 99.9 % quantiles and the greatest value. The

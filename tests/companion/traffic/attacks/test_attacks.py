@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.companion.traffic.attacked import clone, crowd, fly, nobody
+from tests.companion.traffic.attacks.attacked import clone, crowd, fly, nobody
 
 KEPT_M = 10.0
 

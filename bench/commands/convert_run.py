@@ -1,4 +1,4 @@
-"""`python -m bench.convert_run KIND RUN FILE`: one product of a run, made in a process of its own.
+"""`python -m bench.commands.convert_run KIND RUN FILE`: one product of a run, made in a process of its own.
 
 KIND is recording, summary or report. Prints the most memory that this took, in 10^6 bytes.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from bench.memory import memory_mb
+from bench.measuring.memory import memory_mb
 from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.report import page, summary
 from ground_tools.inspect.viewer import recording

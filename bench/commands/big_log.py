@@ -1,8 +1,8 @@
-"""`python -m bench.big_log SOURCE TARGET [MB]`: a large onboard log, made of a small one.
+"""`python -m bench.commands.big_log SOURCE TARGET [MB]`: a large onboard log, made of a small one.
 
 The data of SOURCE (.bin or .ulg) are repeated with times that go on, until TARGET has the given size (10^6
-bytes; 1074 if it is not given). `python -m bench.convert_run report TARGET FILE` then prints how much memory
-a report takes.
+bytes; 1074 if it is not given). `python -m bench.commands.convert_run report TARGET FILE` then prints how
+much memory a report takes.
 """
 
 from __future__ import annotations

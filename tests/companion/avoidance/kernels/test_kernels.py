@@ -21,7 +21,7 @@ from companion.avoidance.law import Law, Neighbour, Situation, settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 
-ORACLE = Path(__file__).parents[2] / "data" / "orca_cases.json.gz"
+ORACLE = Path(__file__).parents[3] / "data" / "orca_cases.json.gz"
 
 
 def half_space(p: Any, v: Any, radius: float = 10.0, tau: float = 20.0, overlap: float = 2.0) -> np.ndarray:
@@ -73,7 +73,7 @@ def test_a_flight_loads_nothing_after_the_warm_up() -> None:
         "Law(AvoidanceConfig(), LimitsConfig(), path, walls).follow(path)\n"
         "assert [len(f.signatures) for f in k.FUNCTIONS] == before\n"
     )
-    subprocess.run([sys.executable, "-c", program], check=True, cwd=Path(__file__).parents[3])
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=Path(__file__).parents[4])
 
 
 def test_planes_of_the_oracle() -> None:
@@ -418,7 +418,7 @@ def test_uncompiled_gives_the_same_numbers() -> None:
     out = subprocess.run(
         [sys.executable, "-c", program],
         env={"NUMBA_DISABLE_JIT": "1", "PATH": "/usr/bin:/bin"},
-        cwd=Path(__file__).parents[3],
+        cwd=Path(__file__).parents[4],
         capture_output=True,
         text=True,
         check=True,

@@ -19,7 +19,7 @@ from companion.events import (
 )
 from tests.companion.authority.showing import beat
 from tests.companion.conftest import mission
-from tests.companion.core.guarding import meet, modes, over, taken
+from tests.companion.core.guarded.guarding import meet, modes, over, taken
 
 EXTERNAL, MISSION, HOLD, OTHER = (
     FlightMode.EXTERNAL,

@@ -22,7 +22,7 @@ from companion.events import (
     VehicleParameters,
 )
 from tests.companion.conftest import mission
-from tests.companion.core.guarding import meet, modes, on_path, over, taken
+from tests.companion.core.guarded.guarding import meet, modes, on_path, over, taken
 
 
 def test_a_conflict_while_the_mission_is_given_back_is_avoided(guarded):

@@ -6,7 +6,7 @@ import pytest
 
 from companion.authority.table import State
 from companion.events import AuthorityChanged, Firmware, FlightMode, ModeRefused, RcChannels
-from tests.companion.core.guarding import meet, modes, taken
+from tests.companion.core.guarded.guarding import meet, modes, taken
 
 
 def test_sticks_that_move_take_the_vehicle_and_get_a_mode_that_takes_them(guarded):

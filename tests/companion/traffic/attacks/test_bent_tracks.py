@@ -13,7 +13,7 @@ from companion.config import AvoidanceConfig
 from companion.geometry import Vec3
 from companion.traffic.eviction import Judgement
 from companion.traffic.track import _BELIEFS
-from tests.companion.traffic.attacked import ADDRESS, NAME, STEP_S, Attack, Sky, fly
+from tests.companion.traffic.attacks.attacked import ADDRESS, NAME, STEP_S, Attack, Sky, fly
 from tests.companion.traffic.flights import Listener, basic, location, seconds, straight
 from tests.companion.traffic.flights import fly as hear
 

@@ -21,7 +21,13 @@ from companion.remote_id.messages import (
     UaType,
 )
 from tests.companion.autopilot.conftest import Scripted
-from tests.companion.autopilot.test_remote_id import arm_status, location, operator_id, self_id, system
+from tests.companion.autopilot.remote_id.test_remote_id import (
+    arm_status,
+    location,
+    operator_id,
+    self_id,
+    system,
+)
 
 NO_ID = bytes(20)
 TAKEOFF, LIVE, FIXED = 0, 1, 2

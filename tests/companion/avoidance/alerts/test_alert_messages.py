@@ -6,7 +6,7 @@ import pytest
 
 from companion.avoidance.alerts import Level
 from companion.events import AlertChanged, Say, Severity, Threat
-from tests.companion.avoidance.test_alerts import Looks, decision, other, view
+from tests.companion.avoidance.alerts.test_alerts import Looks, decision, other, view
 
 PERIOD_S = 0.2
 OWN, SPEED = (0.0, 0.0, -50.0), (10.0, 0.0, 0.0)
