@@ -14,7 +14,7 @@ from companion.arrays import AnyFloats, Floats
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import vehicles
 from ground_tools.campaign.cells import Cell, Look, Row
-from ground_tools.campaign.encounters.judge import SNMAC, first_inside
+from ground_tools.campaign.encounters.volumes import SNMAC, first_inside
 
 ARRIVED_M: Final = 6.0
 """An aircraft within this distance of the end of its path has arrived: four standard deviations of GNSS."""

@@ -22,7 +22,7 @@ from ground_tools.inspect.export import tables
 from ground_tools.inspect.read.flown import Flown, Path, Separation, gap_s, unbroken
 from ground_tools.inspect.read.read_run import Run
 from ground_tools.inspect.viewer.scene import Aircraft
-from ground_tools.inspect.viewer.watch import Watch
+from ground_tools.inspect.viewer.step_columns import Watch
 
 MAP = "map"
 """Name of the local frame."""

@@ -36,7 +36,7 @@ from ground_tools.inspect.viewer.palette import (
 from ground_tools.inspect.viewer.pieces import Note, Piece, Places
 from ground_tools.inspect.viewer.scene import Aircraft, Scene
 from ground_tools.inspect.viewer.shapes import ARROW_S, enu, square
-from ground_tools.inspect.viewer.watch import UNKNOWN, Watch
+from ground_tools.inspect.viewer.step_columns import UNKNOWN, Watch
 
 OLD_S = 5.0
 """Predictions from information of this age or older are drawn grey."""

@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.polled.timesync import timesync
 from companion.autopilot.wire import MavlinkWriter
 from companion.events import Firmware
-from tests.sitl_mocks.onboard.delayed import Delayed
+from tests.sitl_mocks.with_companion.delayed import Delayed
 
 WAYS = [(0.15, 0.0), (0.0, 0.15), (0.15, 0.15), (0.02, 0.02), (0.0, 0.0)]
 """Down and up (s)."""

@@ -10,7 +10,7 @@ from companion.authority.table import State
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode, SetSpeed
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
-from tests.sitl_mocks.onboard.guarding import Guarded, Sky, head_on, head_on_at, item, mission, taken
+from tests.sitl_mocks.with_companion.guarding import Guarded, Sky, head_on, head_on_at, item, mission, taken
 
 
 def setpoints_sent(aircraft, since):

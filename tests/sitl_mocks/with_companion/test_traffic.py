@@ -40,7 +40,7 @@ from companion.events import (
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.traffic import CrewedFlight
-from tests.sitl_mocks.onboard.pair import TICK_S, UTC_AT_ZERO_S, Pair
+from tests.sitl_mocks.with_companion.pair import TICK_S, UTC_AT_ZERO_S, Pair
 from tests.support.place import HOME
 
 VEHICLES_OWN = {"fence": "vehicle"}

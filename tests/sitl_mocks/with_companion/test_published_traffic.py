@@ -17,7 +17,7 @@ from companion.remote_id.messages import Location
 from companion.traffic.published import MOST, is_published
 from sitl_mocks.vehicle.traffic import CrewedFlight
 from tests.companion.core.conftest import intruder
-from tests.sitl_mocks.onboard.pair import TICK_S, Pair
+from tests.sitl_mocks.with_companion.pair import TICK_S, Pair
 
 ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 BOTH = pytest.mark.parametrize("firmware", Firmware)

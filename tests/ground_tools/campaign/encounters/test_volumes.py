@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ground_tools.campaign.encounters import ratios
-from ground_tools.campaign.encounters.judge import NMAC, WELL_CLEAR, Volume, first_inside
+from ground_tools.campaign.encounters.volumes import NMAC, WELL_CLEAR, Volume, first_inside
 from ground_tools.common.intervals import wilson
 
 FOOT_M = 0.3048

@@ -33,7 +33,7 @@ from companion.events import (
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle
 from sitl_mocks.vehicle.options import VehicleOptions
-from tests.sitl_mocks.onboard.pair import TICK_S, UTC_AT_ZERO_S, Pair
+from tests.sitl_mocks.with_companion.pair import TICK_S, UTC_AT_ZERO_S, Pair
 from tests.support.place import HOME
 
 

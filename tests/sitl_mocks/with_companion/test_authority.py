@@ -14,7 +14,7 @@ from companion.authority.table import HOLDING, State
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
-from tests.sitl_mocks.onboard.guarding import TICK_S, Guarded, head_on, head_on_at, taken
+from tests.sitl_mocks.with_companion.guarding import TICK_S, Guarded, head_on, head_on_at, taken
 
 ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 BOTH = pytest.mark.parametrize("firmware", Firmware)

@@ -11,7 +11,7 @@ from companion.events import ClockRead, Firmware, InputBehind
 from companion.runtime.status.live_state import core_status
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from tests.companion.conftest import config
-from tests.sitl_mocks.onboard.delayed import WATCHING, Delayed
+from tests.sitl_mocks.with_companion.delayed import WATCHING, Delayed
 
 LATE = "by its own clock, the vehicle's messages arrive"
 SLOW = "the vehicle's clock runs at 0.930 of ours: " + LATE

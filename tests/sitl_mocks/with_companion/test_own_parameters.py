@@ -14,8 +14,8 @@ from companion.events import Firmware, Settings, VelocitySetpoint
 from companion.radio.ether.section import EtherRadio
 from companion.system import CompanionSystem
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
-from tests.sitl_mocks.onboard.pair import TICK_S
-from tests.sitl_mocks.onboard.test_with_vehicle import MissionPair
+from tests.sitl_mocks.with_companion.pair import TICK_S
+from tests.sitl_mocks.with_companion.test_with_vehicle import MissionPair
 
 
 class Station:

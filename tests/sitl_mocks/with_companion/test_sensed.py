@@ -21,7 +21,7 @@ from companion.config import (
 from companion.events import Decision, Firmware, ObstaclePoint, ObstacleScan, SensedAircraft, VelocitySetpoint
 from companion.events.sensed import is_sensed
 from sitl_mocks.vehicle.sensing import Obstacle, SensorOptions
-from tests.sitl_mocks.onboard.pair import Pair
+from tests.sitl_mocks.with_companion.pair import Pair
 from tests.support.place import HOME
 
 SPEED_MPS, HEIGHT_M, BEGINS_S = 3.0, 50.0, 3.0
