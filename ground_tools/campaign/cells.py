@@ -225,7 +225,7 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
     settings = np.array(
         [
-            law_flown.settings(settings_of(avoidance, own, path), kind == vehicles.AVOIDS)
+            law_flown.settings_row(settings_of(avoidance, own, path), kind == vehicles.AVOIDS)
             for own, path, kind in zip(limits, paths, kinds.tolist(), strict=True)
         ]
     )

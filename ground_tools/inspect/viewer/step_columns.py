@@ -1,7 +1,7 @@
 """Converts steps of one aircraft to columns that a recording draws.
 
-A `Watch` takes an aircraft's steps piece by piece, in order. Of earlier pieces it keeps only what later ones
-are compared with: modes, conflicts, names. Times in the result are on the common time line.
+A `StepColumns` takes an aircraft's steps piece by piece, in order. Of earlier pieces it keeps only what later
+ones are compared with: modes, conflicts, names. Times in the result are on the common time line.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class _Rows:
     bounds: list[tuple[float, Decision, tuple[HalfSpace, ...]]] = field(default_factory=list)
 
 
-class Watch:
+class StepColumns:
     """Converts the steps of one aircraft, piece by piece."""
 
     def __init__(self, aircraft: Aircraft, origin: Vec3) -> None:

@@ -57,7 +57,7 @@ class Reading(msgspec.Struct, frozen=True, kw_only=True):
     """T."""
 
     @property
-    def law(self) -> AvoidanceConfig:
+    def avoidance(self) -> AvoidanceConfig:
         """The paper's law with these parameters."""
         return AvoidanceConfig(
             law="paper",
@@ -125,7 +125,7 @@ def row_of(number: int, flights: int, seed: int) -> Row:
         seed: first of the consecutive seeds, which are the same for all delays and readings.
     """
     reading = READINGS[number]
-    law, world = reading.law, IN["exact"]
+    law, world = reading.avoidance, IN["exact"]
     least = np.array(
         [
             [flown(law, world, delay_s, one, reading.geometry)[1] for one in range(seed, seed + flights)]

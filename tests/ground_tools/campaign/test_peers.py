@@ -180,7 +180,7 @@ def head_on(law, world, aside_m):
     times = np.tile([0.0, 60.0], (2, 1))
     meaning = flown.flown_by(law, campaign.LAWS)
     rows = [
-        meaning.settings(
+        meaning.settings_row(
             settings_of(meaning.avoidance, LimitsConfig(), Trajectory(t.tolist(), p.tolist())), True
         )
         for t, p in zip(times, points, strict=True)
@@ -261,8 +261,8 @@ def test_a_changed_number_is_not_an_intruders():
     """Otherwise a larger acceleration of ours would come with intruders that turn less sharply."""
     changed = flown.flown_by("dmuca:acceleration_mps2=1", campaign.LAWS)
     as_it_is = flown.flown_by("dmuca", campaign.LAWS)
-    assert changed.settings(LIMITS, True) != as_it_is.settings(LIMITS, True)
-    assert changed.settings(LIMITS, False) == as_it_is.settings(LIMITS, False)
+    assert changed.settings_row(LIMITS, True) != as_it_is.settings_row(LIMITS, True)
+    assert changed.settings_row(LIMITS, False) == as_it_is.settings_row(LIMITS, False)
 
 
 def test_the_own_law_flies_as_it_is_kept():
@@ -378,7 +378,7 @@ def test_the_picture_needs_every_cell(tmp_path):
 
 def test_the_columns_of_parameters_follow_those_of_the_own_law():
     assert len(k.Settings._fields) == common.AVOIDS
-    row = flown.flown_by("mvp", campaign.LAWS).settings(LIMITS, False)
+    row = flown.flown_by("mvp", campaign.LAWS).settings_row(LIMITS, False)
     assert row[common.AVOIDS] == 0.0
     assert row[0] == k.NONE
     assert tuple(row[common.FIRST :]) == tuple(laws.PEERS["mvp"].best)
