@@ -18,6 +18,7 @@ from companion.autopilot.wire import MavlinkReader, MavlinkWriter, mavlink, mess
 from companion.commands import cli
 from companion.events import AuthorityChanged, Heartbeat, VelocitySetpoint
 from tests.integration.conftest import PATIENCE_S
+from tests.support.waiting import until
 
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 TRAJECTORY = """altitude = "home"
@@ -106,10 +107,7 @@ def count_setpoints(items):
 
 def wait_for_setpoints(tmp_path, count):
     """Wait until as many are in the record: on a busy machine they come more slowly than at 20 Hz."""
-    end = time.monotonic() + PATIENCE_S
-    while count_setpoints(the_record(tmp_path)[1]) < count:
-        assert time.monotonic() < end, "too few setpoints were recorded"
-        time.sleep(0.2)
+    until(lambda: count_setpoints(the_record(tmp_path)[1]) >= count, "setpoints", PATIENCE_S, pause_s=0.2)
 
 
 @pytest.mark.parametrize("firmware", ["ardupilot", "px4"])

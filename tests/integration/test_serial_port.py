@@ -21,6 +21,7 @@ import serial
 
 from companion.autopilot.wire import FrameScanner, mavlink
 from companion.commands import cli
+from tests.support.waiting import until
 
 PROFILE = (Path(__file__).parents[2] / "config" / "ardupilot-serial.toml").read_text()
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
@@ -91,10 +92,8 @@ class Cable:
 
     def wait_for_setpoints(self, more: int) -> None:
         """Until the companion has sent so many more."""
-        wanted, end = self.setpoints + more, time.monotonic() + PATIENCE_S
-        while self.setpoints < wanted:
-            assert time.monotonic() < end, "no setpoints came"
-            time.sleep(0.02)
+        wanted = self.setpoints + more
+        until(lambda: self.setpoints >= wanted, "setpoints", PATIENCE_S)
 
     def close(self) -> None:
         """Ends the line."""
