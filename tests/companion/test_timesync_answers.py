@@ -11,6 +11,7 @@ from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.events import VelocitySetpoint
 from companion.system import CompanionSystem
 from tests.companion.gate.flying import config
+from tests.support.place import LAT_E7, LON_E7
 
 _TIMESYNC, _SETPOINT = 111, 84
 _TRICKLE_S = 0.002
@@ -54,7 +55,7 @@ class SlowLine:
         if now_s >= self._told_s:
             self._told_s += 0.1
             self._down += writer.pack(encoder.heartbeat_encode(2, 3, 129, 4, 4))
-            place = 473970000, 85450000, 450000, 50000
+            place = LAT_E7, LON_E7, 450000, 50000
             self._down += writer.pack(
                 encoder.global_position_int_encode(round(now_s * 1e3), *place, 0, 0, 0, 0)
             )

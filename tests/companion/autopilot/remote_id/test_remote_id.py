@@ -24,6 +24,7 @@ from companion.remote_id.messages import (
     UaType,
 )
 from tests.companion.autopilot.conftest import PX4, Scripted
+from tests.support.place import HOME, LAT_E7, LON_E7
 
 EPOCH = 1546300800.0
 NO_ID = bytes(20)
@@ -56,9 +57,9 @@ def operator_id(text: bytes = b"FIN87astrdge12k8", target: int = 0) -> Any:
     return mavlink.MAVLink_open_drone_id_operator_id_message(target, 0, NO_ID, 0, text)
 
 
-def location(id_or_mac: bytes = MAC, lat: int = 473971000, target: int = 0) -> Any:
+def location(id_or_mac: bytes = MAC, lat: int = LAT_E7 + 1000, target: int = 0) -> Any:
     return mavlink.MAVLink_open_drone_id_location_message(
-        target, 0, id_or_mac, 2, 9000, 500, 0, lat, 85450000, 430.0, 430.0, 0, 30.0, 10, 5, 0, 4, 12.5, 1
+        target, 0, id_or_mac, 2, 9000, 500, 0, lat, LON_E7, 430.0, 430.0, 0, 30.0, 10, 5, 0, 4, 12.5, 1
     )
 
 
@@ -102,7 +103,7 @@ def test_remote_id_with_an_address_is_heard_from_anybody(
     assert (event.transport, event.address) == ("mavlink", "c0:ff:ee:12:34:56")
     (heard,) = event.messages
     assert isinstance(heard, Location)
-    assert (heard.lat_deg, heard.speed_mps, heard.direction_deg) == (47.3971, 5.0, 90.0)
+    assert (heard.lat_deg, heard.speed_mps, heard.direction_deg) == ((LAT_E7 + 1000) / 1e7, 5.0, 90.0)
     assert identity == RemoteIdHeard(
         transport="mavlink",
         address="c0:ff:ee:12:34:56",
@@ -187,8 +188,8 @@ def test_the_secret_of_a_whole_operator_number_is_left_behind(ardupilot: Scripte
 
 def test_an_update_moves_the_last_system_of_its_sender(ardupilot: Scripted) -> None:
     gcs(ardupilot, system(1000))
-    (moved,) = systems(gcs(ardupilot, update(1001, lat=473970000)))
-    assert (moved.operator_lat_deg, moved.operator_alt_geodetic_m) == (47.397, 391.0)
+    (moved,) = systems(gcs(ardupilot, update(1001, lat=LAT_E7)))
+    assert (moved.operator_lat_deg, moved.operator_alt_geodetic_m) == (HOME.lat_deg, 391.0)
     assert (moved.category_eu, moved.timestamp_utc_s) == (1, EPOCH + 1001)
     # Another sender's is its own: nothing but place and time are known.
     (other,) = systems(ardupilot.says(update(1002), system=250, component=190))
