@@ -28,9 +28,9 @@ from ground_tools.campaign.peers.flown import Flown
 from ground_tools.campaign.scenarios import files, layouts, missions
 from ground_tools.campaign.scenarios.surroundings import CREWED_MPS, crewed_ways, fence_beside
 from ground_tools.campaign.world import World
+from ground_tools.common import sources
 from ground_tools.common.kept_lines import Kept
 from ground_tools.common.plugin_state import state_of
-from ground_tools.results import sources
 
 Law = Literal["dmuca", "paper", "none"]
 """The companion's laws. A `Cell` may also be flown by one of `peers.laws.PEERS`."""

@@ -20,6 +20,7 @@ from rich.console import Console
 
 from companion.config import AvoidanceConfig
 from ground_tools.campaign.cells import SEPARATION_M
+from ground_tools.common import sources
 from ground_tools.common.figure import drawn
 from ground_tools.common.intervals import Z, wilson
 from ground_tools.common.kept_lines import Kept
@@ -27,7 +28,6 @@ from ground_tools.common.progress import progress
 from ground_tools.common.workers import in_parallel
 from ground_tools.paper.figures.dmuca_flights import DELAYS_S, IN, MOST_FLIGHTS, flown
 from ground_tools.paper.report import Numbers, Report, Statement, Value
-from ground_tools.results import sources
 from sitl_mocks.encounters.scenario import Kind
 
 NAME: Final = "dmuca-sweep"

@@ -19,10 +19,11 @@ from ground_tools import cli
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import flight, outcome, tables
 from ground_tools.campaign.cells import Cell
-from ground_tools.campaign.peers import common, flown, fly_away, laws, mvp, orca, pareto, search
-from ground_tools.campaign.peers import table as comparison
+from ground_tools.campaign.peer_comparison import pareto, search
+from ground_tools.campaign.peer_comparison import table as comparison
+from ground_tools.campaign.peers import common, flown, fly_away, laws, mvp, orca
 from ground_tools.campaign.world import World
-from ground_tools.results.sources import ROOT
+from ground_tools.common.sources import ROOT
 
 PEERS = sorted(laws.PEERS)
 EXACT = World(end_s=100.0, sigma_m=0.0, sigma_mps=0.0, declared_m=0.0, quantised=False, delay_s=(0.0, 0.0))

@@ -10,8 +10,8 @@ import msgspec
 
 from companion.errors import ConfigError
 from ground_tools.campaign.cells import Cell
+from ground_tools.campaign.peer_comparison.table import DELAY_S, TURNING, separation
 from ground_tools.campaign.peers.laws import PEERS
-from ground_tools.campaign.peers.table import DELAY_S, TURNING, separation
 from ground_tools.campaign.tables import Line
 from ground_tools.common.figure import drawn
 

@@ -13,7 +13,7 @@ import msgspec
 
 from companion.errors import ConfigError
 from companion.shipped import shipped
-from ground_tools.results import sources
+from ground_tools.common import sources
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -15,9 +15,9 @@ from companion.errors import ConfigError
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import tables
 from ground_tools.campaign.cells import Cell
+from ground_tools.campaign.scenario_measures.measures import ARRIVED_M, Measures, figures, measured
 from ground_tools.campaign.scenarios import files
 from ground_tools.campaign.scenarios.layouts import SCENARIOS
-from ground_tools.campaign.scenarios.measures import ARRIVED_M, Measures, figures, measured
 from ground_tools.common.progress import progress
 from ground_tools.common.run_options import processes_of, seeds_of
 from ground_tools.common.workers import in_parallel

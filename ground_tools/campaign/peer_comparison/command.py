@@ -13,8 +13,8 @@ from companion.errors import ConfigError
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import tables
 from ground_tools.campaign.cells import Cell
-from ground_tools.campaign.peers import pareto, search
-from ground_tools.campaign.peers import table as comparison
+from ground_tools.campaign.peer_comparison import pareto, search
+from ground_tools.campaign.peer_comparison import table as comparison
 from ground_tools.campaign.runs import add_common, fly_missing, work_of
 from ground_tools.common.run_options import seeds_of
 
