@@ -1,1 +1,1 @@
-"""Measured figures, printed as tables, with their targets; `figures` says how they are measured."""
+"""Measured figures, printed as tables, with their targets; `measuring.figures` says how."""

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from importlib import import_module
 
-from bench.figures import reference_s
+from bench.measuring.figures import reference_s
 
 NAMES = (
     "avoidance",
@@ -43,7 +43,7 @@ def main() -> int:
     if len(names) == 1:
         module = import_module(f"bench.bench_{names[0]}")
         print(f"\n== {(module.__doc__ or '').splitlines()[0]}\n")
-        print(f"reference loop (bench.figures), CPU: {1e3 * reference_s():.0f} ms\n", flush=True)
+        print(f"reference loop (bench.measuring.figures), CPU: {1e3 * reference_s():.0f} ms\n", flush=True)
         module.main()
         return 0
     return max([subprocess.run([sys.executable, "-m", "bench", name]).returncode != 0 for name in names])

@@ -22,8 +22,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bench.bench_core import NEIGHBOURS, heard
-from bench.figures import target
-from bench.memory import memory_mb
+from bench.measuring.figures import target
+from bench.measuring.memory import memory_mb
+from bench.measuring.place import FRAME
 from companion.radio.ether import datagrams
 from companion.radio.ether.datagrams import Heard, Welcome
 from companion.radio.frames_io import FrameSender, radio_address
@@ -36,10 +37,10 @@ PRIORITY = 20
 MOST_MB, MOST_CORE, MOST_READY_S = 150.0, 10.0, 5.0
 """Targets of the flight beside which nothing else runs: resident memory, percent of one core, start."""
 
-_PATH = """altitude = "home"
+_PATH = f"""altitude = "home"
 waypoint = [
-  { t_s = 0.0, lat_deg = 47.397, lon_deg = 8.545, alt_m = 50.0 },
-  { t_s = 600.0, lat_deg = 47.41318, lon_deg = 8.545, alt_m = 50.0 },
+  {{ t_s = 0.0, lat_deg = {FRAME.lat_deg}, lon_deg = {FRAME.lon_deg}, alt_m = 50.0 }},
+  {{ t_s = 600.0, lat_deg = {FRAME.lat_deg + 0.01618:.5f}, lon_deg = {FRAME.lon_deg}, alt_m = 50.0 }},
 ]
 """
 _CONFIG = """[identity]

@@ -15,7 +15,7 @@ import time
 import numpy as np
 from numba import njit
 
-from bench.figures import least_cpu_s, target
+from bench.measuring.figures import least_cpu_s, target
 from companion.avoidance import kernels
 from companion.avoidance.law import Law, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from bench.figures import target
+from bench.measuring.figures import target
 from sitl_mocks.channel.equations.analytic import Analytic, Fleet, fixed_mode, system_delay_s
 from sitl_mocks.channel.link_budget import all_links, draw_positions, near_links
 from sitl_mocks.channel.packets.simulation import simulate

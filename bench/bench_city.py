@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from bench.figures import target
+from bench.measuring.figures import target
 from ground_tools.city.cells import City, simulation_of
 from ground_tools.city.traffic.demand import Demand
 

@@ -11,7 +11,8 @@ import time
 
 import numpy as np
 
-from bench.figures import least_of_each, target
+from bench.measuring.figures import least_of_each, target
+from bench.measuring.place import FRAME
 from companion.authority.table import HOLDING
 from companion.avoidance import kernels
 from companion.config import Config, FlightConfig, IdentityConfig, TrajectoryFile, Waypoint
@@ -29,11 +30,9 @@ from companion.events import (
     RemoteIdHeard,
     VehicleTime,
 )
-from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
 
 UTC_S = 1_767_225_600.0
-FRAME = LocalFrame(47.397, 8.545, 450.0)
 NEIGHBOURS = 20
 SECONDS = 60
 FLIGHTS = 10

@@ -21,7 +21,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from bench.bench_aboard import SETTLE_S, flight, process, processor_s, wait_for
-from bench.figures import target
+from bench.measuring.figures import target
 from companion.commands.status import ask
 from tests.browser import chromium
 

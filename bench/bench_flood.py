@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.bench_core import FRAME, companion, own_events
-from bench.figures import least_of_each, target
-from bench.memory import memory_mb
+from bench.measuring.figures import least_of_each, target
+from bench.measuring.memory import memory_mb
 from companion.avoidance import kernels
 from companion.events import Event, RadioState
 from companion.geometry import Vec3

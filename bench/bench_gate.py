@@ -11,7 +11,8 @@ import time
 
 import numpy as np
 
-from bench.figures import least_of_each, target
+from bench.measuring.figures import least_of_each, target
+from bench.measuring.place import FRAME
 from companion.autopilot.encoders import velocity_setpoint
 from companion.autopilot.wire import MavlinkWriter
 from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig
@@ -26,10 +27,8 @@ from companion.events import (
     LandedState,
 )
 from companion.gate.gate import Gate
-from companion.geometry import LocalFrame
 
 STEPS, ROUNDS = 4_000, 5
-FRAME = LocalFrame(47.397, 8.545, 450.0)
 MOST_US = 30.0
 """Target of the median."""
 

@@ -1,7 +1,7 @@
 """A run as recording, figures and report: CPU time, size and memory, and those of a ten times longer run.
 
 500 s of 5 aircraft are read, written and verified. The memory of a ten times longer run should hardly be
-larger; each is the peak of a process of its own (`bench.memory`).
+larger; each is the peak of a process of its own (`bench.measuring.memory`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import msgspec
 
-from bench.figures import target
+from bench.measuring.figures import target
 from companion import event_record
 from companion.config import Config
 from companion.event_record import Header, Step
@@ -98,7 +98,7 @@ def main() -> None:
             for kind, found in peaks.items():
                 path = folder / f"inspect.{'html' if kind == 'report' else 'rrd'}"
                 path.unlink(missing_ok=True)
-                took, printed = cpu_s(sys.executable, "-m", "bench.convert_run", kind, folder, path)
+                took, printed = cpu_s(sys.executable, "-m", "bench.commands.convert_run", kind, folder, path)
                 found.append(float(printed))
                 size = path.stat().st_size if path.exists() else 0
                 print(

@@ -255,7 +255,9 @@ def send(kept: KeptLink, seconds: float) -> int:
 def flood() -> None:
     """One call's cost while a sender never stops, and what the parser makes of a full portion."""
     listening = UdpLink(("127.0.0.1", 0), LinkTrouble(), listen=True)
-    print(f"receive buffer granted: {listening.receive_buffer / 1024:.0f} KiB")
+    with socket.socket(fileno=os.dup(listening.fileno())) as same:
+        granted = same.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+    print(f"receive buffer granted: {granted / 1024:.0f} KiB")
     writer = MavlinkWriter(1, 1)
     beat = writer.pack(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3))
     for name, datagram in (("heartbeats", beat), ("1400 bytes", 1400 * b"\xfd"), ("60 kB", 60_000 * b"\xfd")):

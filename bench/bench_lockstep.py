@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import msgspec
 
-from bench.figures import least_of_each, target
+from bench.measuring.figures import least_of_each, target
 from companion.avoidance import kernels
 from sitl_mocks.encounters import scenario_file
 from sitl_mocks.encounters.lockstep import TICK_S, fly

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import msgspec
 
+from bench.measuring.place import FRAME
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard
 from companion.geometry import LocalFrame
@@ -27,8 +28,8 @@ from companion.traffic.tracks import Traffic
 
 LOCATION = Location(
     status=Status.AIRBORNE,
-    lat_deg=47.3971234,
-    lon_deg=8.5451234,
+    lat_deg=FRAME.lat_deg + 0.0001234,
+    lon_deg=FRAME.lon_deg + 0.0001234,
     alt_geodetic_m=497.5,
     height_m=50.0,
     direction_deg=123.0,
@@ -42,7 +43,11 @@ BASIC = BasicId(
 )
 
 OTHERS = (
-    System(operator_lat_deg=47.3971234, operator_lon_deg=8.5451234, operator_alt_geodetic_m=450.0),
+    System(
+        operator_lat_deg=FRAME.lat_deg + 0.0001234,
+        operator_lon_deg=FRAME.lon_deg + 0.0001234,
+        operator_alt_geodetic_m=450.0,
+    ),
     SelfId(description_type=0, text="survey"),
     OperatorId(operator_id_type=0, operator_id="FIN87astrdge12k8"),
 )
@@ -91,7 +96,7 @@ class Reception:
     def _begin(self) -> None:
         self.receiver = FrameReceiver()
         self.traffic = Traffic(TrafficConfig(), "OWN")
-        self._frame_of_reference = LocalFrame(47.4, 8.5451234, 450.0)
+        self._frame_of_reference = LocalFrame(47.4, FRAME.lon_deg + 0.0001234, 450.0)
 
     def take(self) -> RemoteIdHeard | None:
         """The next frame, from its bytes to the track."""

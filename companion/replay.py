@@ -98,7 +98,7 @@ def replay_record(records: Iterable[Record], name: str, tolerance: float) -> Rec
         if core is None or gate is None:
             raise PeerDataError(f"{name}: the first record is not a header")
         commands = tuple(core.step(item.now_s, item.events))
-        gate.judge(item, commands)
+        gate.run(item, commands)
         result.steps += 1
         result.commands += len(commands)
         if commands == item.commands:
@@ -126,7 +126,7 @@ class _GateAgain:
         self._vehicle: Heartbeat | None = None
         self._last_s = -math.inf
 
-    def judge(self, step: Step, commands: Iterable[Command]) -> None:
+    def run(self, step: Step, commands: Iterable[Command]) -> None:
         """Pass one step and the core's commands in it through the gate."""
         gate, now_s = self._gate, step.now_s
         behind = any(isinstance(event, InputBehind) for event in step.events)

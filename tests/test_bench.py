@@ -21,9 +21,9 @@ from bench import (
     bench_gate,
     bench_lockstep,
     bench_remote_id,
-    figures,
 )
-from bench.memory import memory_mb
+from bench.measuring import figures
+from bench.measuring.memory import memory_mb
 
 _SHORT_AVOIDANCE = {
     "COUNTS": (20,),
@@ -96,7 +96,7 @@ def test_a_target_is_shown_beside_the_figure(capsys, measured, bounds, verdict):
 def test_the_peak_of_a_process_is_its_own():
     """A process that a large one starts has not been as large."""
     block = bytearray(200_000_000)
-    code = "from bench.memory import memory_mb; print(memory_mb('VmHWM'))"
+    code = "from bench.measuring.memory import memory_mb; print(memory_mb('VmHWM'))"
     child = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert float(child.stdout) < 100.0 < memory_mb("VmHWM")
     assert len(block) == 200_000_000

@@ -19,7 +19,7 @@ import msgspec
 from companion import __version__
 from companion import config as configuration
 from companion.commands.preflight import Light, Preflight
-from companion.commands.run_evidence import Check, Stage, judge, read_run
+from companion.commands.run_evidence import Check, Stage, checks_of, read_run
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.runtime.record.disk import replace_file
@@ -145,7 +145,10 @@ def attempt_of(
     refused = _refusal(stage, stated, config, evidence)
     checks: list[Check] = []
     if refused is None:
-        checks = [*(_preflight(config) if stage == "bench" else ()), *judge(stage, read_run(folder), config)]
+        checks = [
+            *(_preflight(config) if stage == "bench" else ()),
+            *checks_of(stage, read_run(folder), config),
+        ]
     return Attempt(
         stage=stage,
         passed=refused is None and all(check.passed for check in checks),

@@ -156,7 +156,7 @@ def _note_tracks(seen: Seen, decision: Decision) -> None:
     seen.nearest_m = min(seen.nearest_m, *away)
 
 
-def judge(stage: Stage, seen: Seen, config: Config) -> list[Check]:
+def checks_of(stage: Stage, seen: Seen, config: Config) -> list[Check]:
     """All checks of a stage on one run."""
     checks = [*_of_any_run(seen, config), *_of_authority(stage, seen)]
     if stage == "bench":

@@ -28,9 +28,9 @@ from ground_tools.campaign.peers.flown import Flown
 from ground_tools.campaign.scenarios import files, layouts, missions
 from ground_tools.campaign.scenarios.surroundings import CREWED_MPS, crewed_ways, fence_beside
 from ground_tools.campaign.world import World
+from ground_tools.common import sources
 from ground_tools.common.kept_lines import Kept
 from ground_tools.common.plugin_state import state_of
-from ground_tools.results import sources
 
 Law = Literal["dmuca", "paper", "none"]
 """The companion's laws. A `Cell` may also be flown by one of `peers.laws.PEERS`."""
@@ -225,7 +225,7 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
     settings = np.array(
         [
-            law_flown.settings(settings_of(avoidance, own, path), kind == vehicles.AVOIDS)
+            law_flown.settings_row(settings_of(avoidance, own, path), kind == vehicles.AVOIDS)
             for own, path, kind in zip(limits, paths, kinds.tolist(), strict=True)
         ]
     )

@@ -20,11 +20,11 @@ from ground_tools.campaign.attacks import command as attacks
 from ground_tools.campaign.cells import Cell
 from ground_tools.campaign.encounters import command as encounters
 from ground_tools.campaign.generators import NAMES
-from ground_tools.campaign.peers import command as peers
+from ground_tools.campaign.peer_comparison import command as peers
 from ground_tools.campaign.peers.laws import PEERS
 from ground_tools.campaign.peers.omniscient import NAME as OMNISCIENT
 from ground_tools.campaign.runs import add_common, fly_missing, summary, work_of
-from ground_tools.campaign.scenarios import command as scenarios
+from ground_tools.campaign.scenario_measures import command as scenarios
 from ground_tools.campaign.scenarios.layouts import SCENARIOS
 from ground_tools.campaign.sensed import command as sensed
 from ground_tools.common.progress import progress

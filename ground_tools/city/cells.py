@@ -32,8 +32,8 @@ from ground_tools.city.radio.reception import AnalyticRadio
 from ground_tools.city.simulation import PART_S, Result, Simulation
 from ground_tools.city.traffic import demand, intentions
 from ground_tools.city.traffic.demand import Demand
+from ground_tools.common import sources
 from ground_tools.common.kept_lines import Kept
-from ground_tools.results import sources
 from sitl_mocks.channel.link_budget import ranges_m
 from sitl_mocks.channel.parameters import BackgroundLoad, ChannelParameters
 from sitl_mocks.channel.parameters import load as load_parameters

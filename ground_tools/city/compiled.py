@@ -16,8 +16,8 @@ from companion.avoidance.kernels.compiled import CacheWithMemory
 from ground_tools.campaign import compiled as campaign
 
 Function = TypeVar("Function")
-_COMPILED = ("flights", "tables", "links", "tracks", "judging", "loop", "measure")
-_OF_RADIO = ("draws", "reception", "choosing", "awareness")
+_COMPILED = ("flights", "tables", "links", "draws", "tracks", "judging", "loop", "measure")
+_OF_RADIO = ("reception", "choosing", "awareness")
 SOURCES = (
     *campaign.SOURCES,
     *(Path(__file__).with_name(f"{name}.py") for name in _COMPILED),

@@ -17,10 +17,10 @@ from companion.avoidance.law import OLDEST_S
 from ground_tools.campaign.vehicles import Fleet, move, send
 from ground_tools.campaign.world import Conditions
 from ground_tools.city.compiled import compiled
+from ground_tools.city.draws import Frames, draw_arrivals
 from ground_tools.city.flights import Flights
 from ground_tools.city.judging import Judge
 from ground_tools.city.measure import Tally, measure, note_decision
-from ground_tools.city.radio.draws import Frames, draw_arrivals
 from ground_tools.city.tables import NOBODY, Air, Links, Near, Tracks
 from ground_tools.city.tracks import Desk, Scope, certain, everything, look, look_perfectly, receive
 

@@ -15,7 +15,7 @@ from ground_tools.city import measure
 from ground_tools.city.cells import CHANNEL, POLICY, ROOTS, City, Row
 from ground_tools.city.simulation import Result
 from ground_tools.city.traffic.demand import PURPOSES
-from ground_tools.results import provenance
+from ground_tools.common import provenance
 
 _FLIGHTS: Final = {
     "begun_s": measure.T_BEGUN,

@@ -14,12 +14,12 @@ from companion.avoidance import kernels as k
 from companion.config import AvoidanceConfig, TrafficConfig
 from ground_tools.campaign.vehicles import AVOIDS, Fleet, begin
 from ground_tools.campaign.world import World
+from ground_tools.city.draws import Frames
 from ground_tools.city.flights import Flights, largest_number_in_the_air
 from ground_tools.city.judging import COLUMNS, PLACES, judge_of
 from ground_tools.city.links import Grid
 from ground_tools.city.loop import PERFECT, Rules, State, advance
 from ground_tools.city.measure import T_BEGUN, T_ENDED, new_tally
-from ground_tools.city.radio.draws import Frames
 from ground_tools.city.tables import NOBODY, new_air, new_fleet, new_near, new_tracks
 from ground_tools.city.tracks import Desk
 

@@ -18,7 +18,7 @@ from companion.shipped import how_to_install, shipped
 from ground_tools.atmc.commands.results import NAMES, Results, Run
 from ground_tools.atmc.env.torch_setup import set_up_torch
 from ground_tools.paper.delays import SET, Delays
-from ground_tools.paper.figures.convergence import iqm, resampled
+from ground_tools.paper.seed_means import interquartile_mean, resampled
 
 POLICIES: Final = shipped("results/policies")
 SET_POLICY: Final = POLICIES / "paper-set.safetensors"
@@ -71,9 +71,9 @@ def learner(results: Results, key: str) -> Learner | None:
         return None
     system, best, error, interval = {}, {}, {}, {}
     for density, name in _KEYS.items():
-        best[density] = float(iqm(np.array([[run.best[name]] for run in runs]))[0])
+        best[density] = float(interquartile_mean(np.array([[run.best[name]] for run in runs]))[0])
         values = np.array([[run.last[name]] for run in runs])
-        system[density], error[density] = float(iqm(values)[0]), float("nan")
+        system[density], error[density] = float(interquartile_mean(values)[0]), float("nan")
         if len(runs) > 1:
             drawn = resampled(values)
             low, high = np.percentile(drawn, (2.5, 97.5))

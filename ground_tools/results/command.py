@@ -12,8 +12,9 @@ from rich.console import Console
 
 from companion.errors import ConfigError
 from companion.shipped import CHECKOUT, given
+from ground_tools.common import provenance
 from ground_tools.common.progress import progress
-from ground_tools.results import kept, provenance
+from ground_tools.results import kept
 from ground_tools.results.kept import Entry
 
 Status = Literal["current", "unchanged", "changed", "outdated", "unknown"]

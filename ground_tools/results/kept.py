@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from companion.shipped import shipped
-from ground_tools.results import provenance
-from ground_tools.results.provenance import Provenance
+from ground_tools.common import provenance
+from ground_tools.common.provenance import Provenance
 
 _CHANNEL: Final = "config/channel/standard.toml"
 _TRAINED: Final = ("numpy", "torch")

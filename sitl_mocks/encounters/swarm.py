@@ -285,7 +285,7 @@ def _fly(swarm: Swarm, plan: Plan, names: list[str], console: Console) -> dict[s
         for name, path, link in zip(names, paths, to_vehicles, strict=True)
     ]
     for examination, companion in zip(swarm.examinations, companions, strict=faults):
-        examination.watch(companion.child)
+        examination.set_companion(companion.child)
     bad: list[str] = []
     try:
         interrupted = _watch(swarm, plan, start_utc_s, console)

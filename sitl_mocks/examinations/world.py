@@ -23,7 +23,7 @@ from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig
 from companion.events import Firmware, MissionItem, RadioState
 from companion.radio.null.section import NullRadio
 from companion.system import CompanionSystem
-from sitl_mocks.encounters.crossing import Crossing
+from sitl_mocks.examinations.crossing import Crossing
 from sitl_mocks.examinations.faults import Fault, begin, end, others_frames
 from sitl_mocks.examinations.modelled_link import ModelledLink
 from sitl_mocks.examinations.rule_judge import Bounds, Judge

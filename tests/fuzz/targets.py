@@ -75,6 +75,7 @@ from tests.fuzz.seeds import (
     taking,
     vectors,
 )
+from tests.support.place import LAT_E7, LON_E7
 
 MAX_TRACKS = 50
 UTC_S = 1_750_000_000.0
@@ -306,7 +307,7 @@ def _fence_seeds() -> list[bytes]:
 
 @cache
 def _adsb_seeds() -> list[bytes]:
-    values = (0x4B1234, 473970000, 85450000, 0, 500_000, 9000, 6000, -250, b"HBABC", 1, 1)
+    values = (0x4B1234, LAT_E7, LON_E7, 0, 500_000, 9000, 6000, -250, b"HBABC", 1, 1)
     return [_payload(mavlink.MAVLink_adsb_vehicle_message(*values, flags, 7000)) for flags in (0xBF, 0x3F, 3)]
 
 

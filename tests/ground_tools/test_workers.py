@@ -14,6 +14,7 @@ from rich.console import Console
 
 from companion.errors import ConfigError
 from ground_tools.common.workers import in_parallel, rounds_in_parallel
+from tests.support.waiting import until
 
 
 def square(number: int) -> int:
@@ -67,7 +68,4 @@ def test_what_is_wrong_with_one_ends_all():
         list(in_parallel(wrong, range(5), 2, Console()))
     # Not by join(): a thread of the pool may have waited for them already.
     left = [Path(f"/proc/{child.pid}") for child in multiprocessing.active_children()]
-    give_up = time.monotonic() + 60.0
-    while any(path.exists() for path in left) and time.monotonic() < give_up:
-        time.sleep(0.05)
-    assert not any(path.exists() for path in left)
+    until(lambda: not any(path.exists() for path in left), "their end", 60.0)

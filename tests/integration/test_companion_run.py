@@ -18,18 +18,14 @@ from companion.autopilot.wire import MavlinkReader, MavlinkWriter, mavlink, mess
 from companion.commands import cli
 from companion.events import AuthorityChanged, Heartbeat, VelocitySetpoint
 from tests.integration.conftest import PATIENCE_S
+from tests.support.place import NORTHWARD
+from tests.support.waiting import until
 
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
-TRAJECTORY = """altitude = "home"
-waypoint = [
-  { t_s = 0.0, lat_deg = 47.397, lon_deg = 8.545, alt_m = 50.0 },
-  { t_s = 300.0, lat_deg = 47.4005, lon_deg = 8.545, alt_m = 50.0 },
-]
-"""
 
 
 def write_config(folder: Path, link: str, **flight: str) -> Path:
-    (folder / "t.toml").write_text(TRAJECTORY)
+    (folder / "t.toml").write_text(NORTHWARD)
     keys = {"use": '"fly"', "trajectory": '"t.toml"', "take_in_flight": "true", **flight}
     lines = "\n".join(f"{key} = {value}" for key, value in keys.items())
     path = folder / "c.toml"
@@ -106,10 +102,7 @@ def count_setpoints(items):
 
 def wait_for_setpoints(tmp_path, count):
     """Wait until as many are in the record: on a busy machine they come more slowly than at 20 Hz."""
-    end = time.monotonic() + PATIENCE_S
-    while count_setpoints(the_record(tmp_path)[1]) < count:
-        assert time.monotonic() < end, "too few setpoints were recorded"
-        time.sleep(0.2)
+    until(lambda: count_setpoints(the_record(tmp_path)[1]) >= count, "setpoints", PATIENCE_S, pause_s=0.2)
 
 
 @pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
@@ -224,7 +217,7 @@ def test_a_port_in_use_is_one_line_and_exit_code_2(start, tmp_path):
 
 def test_a_path_that_breaks_the_speed_limit_is_one_line_and_exit_code_2(start, tmp_path):
     path = write_config(tmp_path, "udpin:127.0.0.1:0")
-    (tmp_path / "t.toml").write_text(TRAJECTORY.replace("300.0", "30.0"))
+    (tmp_path / "t.toml").write_text(NORTHWARD.replace("300.0", "30.0"))
     companion = start("companion.commands.cli", "run", "--config", path)
     assert companion.process.wait(PATIENCE_S) == 2
     (line,) = companion.output.splitlines()

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.waiting import until
+
 
 def workers(pid: int) -> list[int]:
     """Child processes of a process."""
@@ -21,16 +23,11 @@ def running(pids: list[int]) -> list[int]:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_all_flights(start, number):
     demo = start("sitl_mocks", "demo", "--seeds", "1-20")
-    end = time.monotonic() + 60.0
-    while len(workers(demo.process.pid)) < 2 and time.monotonic() < end:
-        time.sleep(0.1)
+    until(lambda: len(workers(demo.process.pid)) >= 2, "a second worker", 60.0)
     # Let them begin to fly.
     time.sleep(3.0)
     flying = workers(demo.process.pid)
     assert demo.end(number) == 130
-    end = time.monotonic() + 60.0
-    while running(flying) and time.monotonic() < end:
-        time.sleep(0.1)
-    assert not running(flying)
+    until(lambda: not running(flying), "the end of the workers", 60.0)
     assert "Interrupted" in demo.output
     assert "Traceback" not in demo.output

@@ -14,6 +14,7 @@ import pytest
 
 from ground_tools import cli
 from ground_tools.fly import command
+from tests.support.place import HOME
 
 pytest.importorskip("mavsdk", reason="mavsdk is not installed")
 PATIENCE_S = 60.0
@@ -21,9 +22,19 @@ PLAN = {
     "fileType": "Plan",
     "mission": {
         "items": [
-            {"type": "SimpleItem", "command": 22, "frame": 3, "params": [0, 0, 0, None, 47.397, 8.545, 4]},
+            {
+                "type": "SimpleItem",
+                "command": 22,
+                "frame": 3,
+                "params": [0, 0, 0, None, HOME.lat_deg, HOME.lon_deg, 4],
+            },
             {"type": "SimpleItem", "command": 178, "frame": 2, "params": [1, 2, -1, 0, 0, 0, 0]},
-            {"type": "SimpleItem", "command": 16, "frame": 3, "params": [0, 0, 0, None, 47.399, 8.545, 6]},
+            {
+                "type": "SimpleItem",
+                "command": 16,
+                "frame": 3,
+                "params": [0, 0, 0, None, HOME.lat_deg + 0.002, HOME.lon_deg, 6],
+            },
         ]
     },
 }

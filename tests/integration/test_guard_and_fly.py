@@ -2,7 +2,7 @@
 and an intruder behind sees nobody. Each firmware's manners are guarded once and flown once.
 
 Their way back to the path takes a third of the default time, because the test waits for it in real time. The
-default is flown in virtual time, by `tests/sitl_mocks/onboard/test_guard.py`."""
+default is flown in virtual time, by `tests/sitl_mocks/with_companion/test_guard.py`."""
 
 from __future__ import annotations
 

@@ -20,6 +20,7 @@ from companion.radio.ether.ether_radio import EtherTransport
 from companion.radio.frames_io import radio_address
 from companion.radio.hci.hci_radio import HciTransport
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
+from tests.support import waiting
 
 PATIENCE_S = 60.0
 ADDRESS = radio_address("INTRUDER")
@@ -53,11 +54,8 @@ def intruder(endpoint: str) -> Iterator[Callable[[], None]]:
 
 
 def until(condition: Callable[[], bool], send: Callable[[], None]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, "did not happen"
-        send()
-        time.sleep(0.1)
+    """Send until a condition holds."""
+    waiting.until(condition, "what was sent", PATIENCE_S, meanwhile=send, pause_s=0.1)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -143,10 +141,8 @@ def test_a_live_table_on_a_terminal(endpoint: str, intruder: Callable[[], None])
 
         until(shown, intruder)
         process.send_signal(signal.SIGINT)
-        end = time.monotonic() + PATIENCE_S
-        while process.poll() is None and time.monotonic() < end:
-            read()  # a full pseudo-terminal would hold it up
-            time.sleep(0.01)
+        # A full pseudo-terminal would hold it up.
+        waiting.until(lambda: process.poll() is not None, "its end", PATIENCE_S, meanwhile=read, pause_s=0.01)
         read()
         assert process.poll() == 0, screen.decode(errors="replace")
     finally:

@@ -21,16 +21,12 @@ import serial
 
 from companion.autopilot.wire import FrameScanner, mavlink
 from companion.commands import cli
+from tests.support.place import NORTHWARD
+from tests.support.waiting import until
 
 PROFILE = (Path(__file__).parents[2] / "config" / "ardupilot-serial.toml").read_text()
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 PATIENCE_S = 60.0
-TRAJECTORY = """altitude = "home"
-waypoint = [
-  { t_s = 0.0, lat_deg = 47.397, lon_deg = 8.545, alt_m = 50.0 },
-  { t_s = 300.0, lat_deg = 47.4005, lon_deg = 8.545, alt_m = 50.0 },
-]
-"""
 
 
 class Cable:
@@ -91,10 +87,8 @@ class Cable:
 
     def wait_for_setpoints(self, more: int) -> None:
         """Until the companion has sent so many more."""
-        wanted, end = self.setpoints + more, time.monotonic() + PATIENCE_S
-        while self.setpoints < wanted:
-            assert time.monotonic() < end, "no setpoints came"
-            time.sleep(0.02)
+        wanted = self.setpoints + more
+        until(lambda: self.setpoints >= wanted, "setpoints", PATIENCE_S)
 
     def close(self) -> None:
         """Ends the line."""
@@ -115,7 +109,7 @@ def cable(tmp_path: Path) -> Iterator[Cable]:
 
 def profile(folder: Path, cable: Cable, **more: str) -> Path:
     """The profile that is shipped, on this cable."""
-    (folder / "t.toml").write_text(TRAJECTORY)
+    (folder / "t.toml").write_text(NORTHWARD)
     text = PROFILE
     ours = {
         "/dev/autopilot": str(cable.device),

@@ -3,33 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import select
 import selectors
 import socket
 import struct
-import termios
-import time
 
 import pytest
 
+from companion.runtime.links.unsent import unsent_bytes
 from sitl_mocks.examinations.modelled_link import Weather
 from sitl_mocks.examinations.processes.companion_ends import TcpEnd
+from tests.support.waiting import until
 
 CALM = Weather()
 PATIENCE_S = 30.0
-
-
-def until(happens, what="it"):
-    give_up_s = time.monotonic() + PATIENCE_S
-    while not (found := happens()):
-        assert time.monotonic() < give_up_s, f"{what} did not happen"
-        time.sleep(0.005)
-    return found
-
-
-def unacknowledged(sock):
-    return struct.unpack("i", fcntl.ioctl(sock, termios.TIOCOUTQ, b"\0" * 4))[0]
 
 
 @pytest.fixture
@@ -54,7 +41,7 @@ def test_a_half_open_stream_acknowledges_nothing_and_does_not_learn_of_a_reset(e
     end.read(1.0, cut)
     assert not end.confirms
     companion.send(b"lost")
-    assert unacknowledged(companion) == 4
+    assert unsent_bytes(companion) == 4
     companion.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     companion.close()  # resets the connection
     assert end.read(2.0, cut) == []

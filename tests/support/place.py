@@ -22,3 +22,14 @@ class Home(LocalFrame):
 
 
 HOME: Final = Home(VEHICLES_HOME.lat_deg, VEHICLES_HOME.lon_deg, VEHICLES_HOME.alt_m)
+LAT_E7: Final = round(1e7 * HOME.lat_deg)
+"""Its latitude as MAVLink sends it, 1e-7 deg."""
+LON_E7: Final = round(1e7 * HOME.lon_deg)
+"""Its longitude, 1e-7 deg."""
+NORTHWARD: Final = f"""altitude = "home"
+waypoint = [
+  {{ t_s = 0.0, lat_deg = {HOME.lat_deg}, lon_deg = {HOME.lon_deg}, alt_m = 50.0 }},
+  {{ t_s = 300.0, lat_deg = {HOME.lat_deg + 0.0035:.4f}, lon_deg = {HOME.lon_deg}, alt_m = 50.0 }},
+]
+"""
+"""Path of a `companion run`: from 50 m above home to the north for five minutes, at 1.3 m/s."""

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tests.support.diagrams import page_with
 from tests.test_imports import ROOMS, ROOT, module_name, modules, rooms_of
 
 PAGE = ROOT / "docs" / "architecture.md"
-_BEGIN, _END = "```mermaid\n", "```\n"
 
 
 def imports() -> dict[str, set[str]]:
@@ -41,9 +41,7 @@ def diagram() -> str:
 
 def page_with_diagram(text: str) -> str:
     """The page with its diagram drawn anew."""
-    before, _, rest = text.partition(_BEGIN)
-    _, _, after = rest.partition(_END)
-    return before + _BEGIN + diagram() + _END + after
+    return page_with(diagram(), text)
 
 
 def main(page: Path = PAGE) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from companion.authority.table import HOLDING, TRANSITIONS, State
+from tests.support.diagrams import page_with
 
 PAGE = Path(__file__).parents[2] / "docs" / "authority.md"
-_BEGIN, _END = "```mermaid\n", "```\n"
 
 
 def diagram() -> str:
@@ -24,9 +24,7 @@ def diagram() -> str:
 
 def page_with_diagram(text: str) -> str:
     """The page with its diagram drawn anew."""
-    before, _, rest = text.partition(_BEGIN)
-    _, _, after = rest.partition(_END)
-    return before + _BEGIN + diagram() + _END + after
+    return page_with(diagram(), text)
 
 
 if __name__ == "__main__":

@@ -10,15 +10,14 @@ reset, and only then gets the error.
 
 from __future__ import annotations
 
-import fcntl
 import select
 import socket
 import struct
 import sys
-import termios
 
 from companion.runtime.links.byte_link import LATE_S, LinkTrouble
 from companion.runtime.links.stream_link import StreamLink
+from companion.runtime.links.unsent import unsent_bytes
 
 _CONNECT_S = 3.0
 _SEND_BUFFER = 8 * 1024
@@ -82,11 +81,7 @@ class TcpLink(StreamLink):
         return self._socket.send(data)
 
     def _queued(self) -> int:
-        """Number of bytes that are not acknowledged, sent or unsent. Only Linux reports it; elsewhere 0."""
-        if sys.platform != "linux":
-            return 0
-        # On Linux SIOCOUTQ and TIOCOUTQ have the same number.
-        return int(struct.unpack("i", fcntl.ioctl(self._socket, termios.TIOCOUTQ, b"\0" * 4))[0])
+        return unsent_bytes(self._socket)
 
     def _takes_more(self, now_s: float) -> bool:
         # Data that was sent but not acknowledged yet does not hold up the next send: the acknowledgement of

@@ -11,15 +11,12 @@ dropped until then.
 
 from __future__ import annotations
 
-import fcntl
 import socket
-import struct
-import sys
-import termios
 from typing import Any
 
 from companion.runtime import clock
 from companion.runtime.links.byte_link import HELD_S, READ_BYTES, LinkTrouble, Received
+from companion.runtime.links.unsent import unsent_bytes
 
 _DATAGRAM = 65536
 _MAX_DATAGRAMS = 256
@@ -69,11 +66,6 @@ class UdpLink:
     def port(self) -> int:
         """Local port."""
         return int(self._socket.getsockname()[1])
-
-    @property
-    def receive_buffer(self) -> int:
-        """Bytes that the kernel granted. Linux doubles the requested size and counts its own overhead."""
-        return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
     def fileno(self) -> int:
         """File descriptor for `select`."""
@@ -136,12 +128,8 @@ class UdpLink:
             self._waits_since_s = now
 
     def _queued(self) -> int:
-        """Number of bytes that no interface has accepted yet, as the kernel counts them. Only Linux reports
-        it; elsewhere 0."""
-        if sys.platform != "linux":
-            return 0
-        # On Linux SIOCOUTQ and TIOCOUTQ have the same number.
-        return int(struct.unpack("i", fcntl.ioctl(self._socket, termios.TIOCOUTQ, b"\0" * 4))[0])
+        """Number of bytes that no interface has accepted yet."""
+        return unsent_bytes(self._socket)
 
     def discard(self) -> None:
         """Do nothing: a datagram that was sent cannot be recalled."""

@@ -12,7 +12,7 @@ from ground_tools.campaign.attacks import flight
 from ground_tools.campaign.attacks.kinds import Attack
 from ground_tools.campaign.attacks.outcome import Row
 from ground_tools.campaign.attacks.scene import Cell
-from ground_tools.results import sources
+from ground_tools.common import sources
 
 
 class Case(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -21,11 +21,11 @@ from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, ContainmentConfig, LimitsConfig
 from companion.errors import ConfigError
 from ground_tools.campaign.encounters import flight, pairing
-from ground_tools.campaign.encounters.judge import NMAC, WELL_CLEAR, Volume, first_inside
 from ground_tools.campaign.encounters.model import Model
+from ground_tools.campaign.encounters.volumes import NMAC, WELL_CLEAR, Volume, first_inside
 from ground_tools.campaign.world import World
+from ground_tools.common import sources
 from ground_tools.common.kept_lines import Kept
-from ground_tools.results import sources
 
 Own = Literal["hover", "5", "10", "15"]
 Altitude = Literal["geometric", "pressure", "barometric", "unheard"]

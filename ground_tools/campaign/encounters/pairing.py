@@ -20,9 +20,9 @@ from typing import Final
 import numpy as np
 
 from companion.arrays import Floats
-from ground_tools.campaign.encounters.judge import Volume
 from ground_tools.campaign.encounters.model import LAYER, Model
 from ground_tools.campaign.encounters.sampling import FOOT_M, Course, Track, draw_course, integrated
+from ground_tools.campaign.encounters.volumes import Volume
 
 CONFLICT_S: Final = 180
 """From the beginning to the time at which the crewed aircraft passes the window."""

@@ -35,7 +35,7 @@ class Flown:
     plugin: Plugin | None = None
     """The plug-in that `avoidance` names. It flies in Python, with the companion's own tracks (`twins`)."""
 
-    def settings(self, own: kernels.Settings, avoids: bool) -> list[float]:
+    def settings_row(self, own: kernels.Settings, avoids: bool) -> list[float]:
         """The row of one aircraft in the table of settings of `flight.fly`.
 
         Args:

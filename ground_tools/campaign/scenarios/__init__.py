@@ -3,5 +3,5 @@
 `missions` draws the paths of intruders that fly missions and avoid nobody. `layouts` draws scenarios of
 everyday traffic in which the law deviates out of proportion, or in which aircraft do not arrive. `files`
 makes flights of files of others, which `bluesky` and `metropolis` read. `surroundings` adds crewed traffic
-and fences. `measures` measures what those scenarios are about, and `command` is the command line.
+and fences. `ground_tools.campaign.scenario_measures` measures what those scenarios are about.
 """

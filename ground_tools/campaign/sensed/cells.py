@@ -13,9 +13,9 @@ import numpy as np
 
 from ground_tools.campaign.sensed.flight import HIT_M, SEPARATION_M, Row
 from ground_tools.campaign.sensed.scene import Cell
+from ground_tools.common import sources
 from ground_tools.common.intervals import wilson
 from ground_tools.common.kept_lines import Kept
-from ground_tools.results import sources
 
 _HEAD: Final = (
     "| in the way | sensor, m | flights | unavoided: lost / hit | lost | hit | least, m | 1 % / median, m "

@@ -17,9 +17,9 @@ from companion.arrays import Floats, Integers
 from companion.errors import ConfigError
 from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from ground_tools.city.compiled import compiled
+from ground_tools.city.draws import Frames
 from ground_tools.city.loop import State
 from ground_tools.city.radio.choosing import Chooser
-from ground_tools.city.radio.draws import Frames
 from ground_tools.city.simulation import PARTS
 from ground_tools.city.tables import NOBODY, Air, Links
 from sitl_mocks.channel.equations import carrier_sense

@@ -83,8 +83,8 @@ class _Draw:
             "event": self._event,
         }
 
-    def flight(self) -> tuple[Floats, Floats, int]:
-        """Times, points and purpose of one flight."""
+    def draw(self) -> tuple[Floats, Floats, int]:
+        """Draw the times, points and purpose of one flight."""
         pattern: str = self.demand.pattern
         if pattern == "mixed":
             shares = [0.5, 0.2, 0.2, 0.1]
@@ -182,13 +182,13 @@ def draw(demand: Demand, duration_s: float, seed: int) -> list[Wish]:
     """The flights of a run, those under way at its beginning included. The same arguments give the same."""
     rng = np.random.default_rng([21, seed])
     drawing = _Draw(demand, rng)
-    trials = np.array([drawing.flight()[0][-1] for _ in range(_TRIALS)])
+    trials = np.array([drawing.draw()[0][-1] for _ in range(_TRIALS)])
     longest = float(trials.max())
     a_second = demand.aircraft / float(trials.mean())
     departs = np.sort(rng.uniform(-longest, duration_s, rng.poisson(a_second * (longest + duration_s))))
     wishes = []
     for depart_s in departs.tolist():
-        times, points, purpose = drawing.flight()
+        times, points, purpose = drawing.draw()
         if depart_s < 0.0:
             if depart_s + times[-1] < 10.0:
                 continue

@@ -22,7 +22,7 @@ from ground_tools.inspect.export import tables
 from ground_tools.inspect.read.flown import Flown, Path, Separation, gap_s, unbroken
 from ground_tools.inspect.read.read_run import Run
 from ground_tools.inspect.viewer.scene import Aircraft
-from ground_tools.inspect.viewer.watch import Watch
+from ground_tools.inspect.viewer.step_columns import StepColumns
 
 MAP = "map"
 """Name of the local frame."""
@@ -139,13 +139,13 @@ def words(run: Run, ways: Flown) -> Iterator[Words]:
     for record in run.aircraft:
         config = record.header.config if record.header else None
         offset_s = ways.offsets_s[record.name]
-        watch = Watch(
+        columns = StepColumns(
             Aircraft(record.name, (0, 0, 0), offset_s, config, record.facts.undulation_m), ways.origin
         )
         told: set[str] = set()
         steps = record.steps()
         while piece := list(itertools.islice(steps, PIECE)):
-            found = watch.piece_of(piece)
+            found = columns.piece_of(piece)
             for note in found.notes:
                 yield Words(note.time_s, note.level, record.name, note.text)
             for lane, states in found.states.items():

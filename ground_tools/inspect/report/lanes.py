@@ -13,7 +13,7 @@ from ground_tools.inspect.read.flown import Flown
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
 from ground_tools.inspect.report import plots
 from ground_tools.inspect.report.terminal import plain
-from ground_tools.inspect.viewer.watch import HELD_S
+from ground_tools.inspect.viewer.step_columns import HELD_S
 
 Span = tuple[float, float, str, str, str]
 """Start and length (s), colour, hatching, and name of a span."""

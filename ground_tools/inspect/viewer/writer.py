@@ -36,7 +36,7 @@ from ground_tools.inspect.viewer.palette import (
 from ground_tools.inspect.viewer.pieces import Note, Piece, Places
 from ground_tools.inspect.viewer.scene import Aircraft, Scene
 from ground_tools.inspect.viewer.shapes import ARROW_S, enu, square
-from ground_tools.inspect.viewer.watch import UNKNOWN, Watch
+from ground_tools.inspect.viewer.step_columns import UNKNOWN, StepColumns
 
 OLD_S = 5.0
 """Predictions from information of this age or older are drawn grey."""
@@ -79,7 +79,7 @@ class Writer:
         self._draw = Drawing(stream, scene)
         self._scene = scene
         self._aircraft = {one.name: one for one in scene.aircraft}
-        self._watches = {one.name: Watch(one, scene.origin) for one in scene.aircraft}
+        self._columns = {one.name: StepColumns(one, scene.origin) for one in scene.aircraft}
         self._last_ned_m: dict[str, Floats] = {}
         stream.log("/", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         about = self._rr.TextDocument(_LEGEND, media_type="text/markdown")
@@ -95,7 +95,7 @@ class Writer:
 
     def steps(self, name: str, steps: Iterable[Step]) -> None:
         """Write the next steps of one aircraft. All must be in one piece of the time line (`Scene.piece`)."""
-        one, piece = self._aircraft[name], self._watches[name].piece_of(steps)
+        one, piece = self._aircraft[name], self._columns[name].piece_of(steps)
         self._own(one, piece)
         self._decisions(one, piece)
         self._tracks(one, piece)

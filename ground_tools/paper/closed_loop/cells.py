@@ -14,10 +14,10 @@ from typing import Any
 import msgspec
 
 from companion.atmc.plugin_policy import plugin_policy
+from ground_tools.common import sources
 from ground_tools.common.kept_lines import Kept
 from ground_tools.common.plugin_state import state_of
 from ground_tools.paper.closed_loop.flights import FILE, METHODS, Flight, Row
-from ground_tools.results import sources
 from sitl_mocks.channel.parameters import ChannelParameters
 
 

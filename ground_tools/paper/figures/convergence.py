@@ -20,6 +20,7 @@ from companion.arrays import Floats
 from ground_tools.atmc.commands.results import CONVERGENCE, NAMES, UAV_EVERY, Results, Run, read
 from ground_tools.common.figure import drawn
 from ground_tools.paper.report import Comparison, Report, Statement
+from ground_tools.paper.seed_means import interquartile_mean, resampled
 
 PUBLISHED_MS: Final = {
     ("madqn", "high"): 1855.28,
@@ -40,7 +41,6 @@ them."""
 _PANELS: Final = ("madqn", "maddpg", "iac")
 _END: Final = 10
 """Number of last points of a curve whose mean is its end: 100 episodes."""
-_DRAWS: Final = 2000
 
 
 def report(path: Path = CONVERGENCE) -> Report:
@@ -122,7 +122,7 @@ def comparisons(results: Results) -> list[Comparison]:
             "sigma_db": 0.0,
             "density": density,
         }
-        ours, error = float(iqm(values)[0]), math.nan
+        ours, error = float(interquartile_mean(values)[0]), math.nan
         if len(values) > 1:
             error = float(resampled(values).std(0)[0])
         published = PUBLISHED_MS.get((algorithm, density)) if last else None
@@ -157,7 +157,7 @@ def _system(axes: Any, results: Results) -> None:
         axes.fill_between(episodes, low, high, color=colour, alpha=0.22, lw=0)
         axes.plot(
             episodes,
-            iqm(curves),
+            interquartile_mean(curves),
             color=colour,
             lw=1.8,
             label=f"{NAMES[algorithm]} ({len(curves)} seed{'s' * (len(curves) > 1)})",
@@ -202,23 +202,6 @@ def binned(values: Sequence[float]) -> Floats:
     """Means over `UAV_EVERY` episodes each. An incomplete group at the end is dropped."""
     whole = len(values) // UAV_EVERY * UAV_EVERY
     found: Floats = np.array(values[:whole], float).reshape(-1, UAV_EVERY).mean(1)
-    return found
-
-
-def iqm(values: Floats) -> Floats:
-    """Interquartile mean over the second-last axis of values of shape (..., seeds, points). At either end, a
-    quarter of the seeds, rounded down, is left out."""
-    seeds = values.shape[-2]
-    cut = seeds // 4
-    ordered: Floats = np.sort(values, axis=-2)[..., cut : seeds - cut, :]
-    found: Floats = ordered.mean(-2)
-    return found
-
-
-def resampled(values: Floats) -> Floats:
-    """Interquartile means of seeds drawn with replacement: from shape (seeds, points) to (draws, points)."""
-    rng = np.random.default_rng(1)
-    found: Floats = iqm(values[rng.integers(0, len(values), (_DRAWS, len(values)))])
     return found
 
 

@@ -20,6 +20,7 @@ from rich.console import Console
 
 from companion.config import AvoidanceConfig
 from ground_tools.campaign.cells import SEPARATION_M
+from ground_tools.common import sources
 from ground_tools.common.figure import drawn
 from ground_tools.common.intervals import Z, wilson
 from ground_tools.common.kept_lines import Kept
@@ -27,7 +28,6 @@ from ground_tools.common.progress import progress
 from ground_tools.common.workers import in_parallel
 from ground_tools.paper.figures.dmuca_flights import DELAYS_S, IN, MOST_FLIGHTS, flown
 from ground_tools.paper.report import Numbers, Report, Statement, Value
-from ground_tools.results import sources
 from sitl_mocks.encounters.scenario import Kind
 
 NAME: Final = "dmuca-sweep"
@@ -57,7 +57,7 @@ class Reading(msgspec.Struct, frozen=True, kw_only=True):
     """T."""
 
     @property
-    def law(self) -> AvoidanceConfig:
+    def avoidance(self) -> AvoidanceConfig:
         """The paper's law with these parameters."""
         return AvoidanceConfig(
             law="paper",
@@ -125,7 +125,7 @@ def row_of(number: int, flights: int, seed: int) -> Row:
         seed: first of the consecutive seeds, which are the same for all delays and readings.
     """
     reading = READINGS[number]
-    law, world = reading.law, IN["exact"]
+    law, world = reading.avoidance, IN["exact"]
     least = np.array(
         [
             [flown(law, world, delay_s, one, reading.geometry)[1] for one in range(seed, seed + flights)]

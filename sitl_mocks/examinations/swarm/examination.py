@@ -138,7 +138,7 @@ class Examination:
         """Start to forward data."""
         self._thread.start()
 
-    def watch(self, child: subprocess.Popen[str]) -> None:
+    def set_companion(self, child: subprocess.Popen[str]) -> None:
         """Set the companion's process, which is the leader of its process group."""
         self._companion.child = child
 

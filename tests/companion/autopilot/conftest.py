@@ -12,6 +12,7 @@ from companion.autopilot.link import AutopilotLink
 from companion.autopilot.wire import CURRENT_MODE, MavlinkReader, MavlinkWriter
 from companion.config import VehicleConfig
 from companion.events import Event
+from tests.support.place import LAT_E7, LON_E7
 
 ARDUPILOT, PX4 = 3, 12
 QUAD = 2
@@ -63,7 +64,7 @@ class Scripted:
         assert self._reader.counts.corrupt == 0
         return [m for m in messages if kind is None or m.get_type() == kind]
 
-    def position(self, boot_ms: int, lat: int = 473970000, lon: int = 85450000, **over: int) -> Any:
+    def position(self, boot_ms: int, lat: int = LAT_E7, lon: int = LON_E7, **over: int) -> Any:
         values = {"alt": 430000, "relative_alt": 30000, "vx": 120, "vy": -30, "vz": 5, "hdg": 0, **over}
         return mavlink.MAVLink_global_position_int_message(boot_ms, lat, lon, **values)
 

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot import readers
 from companion.errors import PeerDataError
 from companion.events import AdsbVehicle, GlobalPosition, GnssFix, Landed, MissionCurrent, VehicleTime
+from tests.support.place import HOME, LAT_E7, LON_E7
 
 ORDER = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: "custom_mode type autopilot base_mode system_status mavlink_version",
@@ -49,8 +50,8 @@ def read(message: Any) -> Any:
 
 def position(**over: int) -> Any:
     values = {
-        "lat": 473970000,
-        "lon": -85450000,
+        "lat": LAT_E7,
+        "lon": -LON_E7,
         "alt": 430120,
         "relative_alt": -1500,
         "vx": 123,
@@ -61,7 +62,7 @@ def position(**over: int) -> Any:
 
 
 def gps(**over: int) -> Any:
-    values = {"fix_type": 3, "lat": 473970000, "lon": 85450000, "alt": 430000, "eph": 65535, "epv": 65535}
+    values = {"fix_type": 3, "lat": LAT_E7, "lon": LON_E7, "alt": 430000, "eph": 65535, "epv": 65535}
     values |= {"vel": 65535, "cog": 65535, "satellites_visible": 10}
     return mavlink.MAVLink_gps_raw_int_message(1, **(values | over))
 
@@ -74,8 +75,8 @@ def test_wire_order_is_what_the_readers_take_it_for(message_id: int) -> None:
 def test_global_position_in_si() -> None:
     assert read(position()) == GlobalPosition(
         time_boot_s=1.5,
-        lat_deg=47.397,
-        lon_deg=-8.545,
+        lat_deg=HOME.lat_deg,
+        lon_deg=-HOME.lon_deg,
         alt_msl_m=430.12,
         height_above_home_m=-1.5,
         velocity_ned_mps=(1.23, -0.07, 0.01),
@@ -224,7 +225,7 @@ ALL = COORDS | ALTITUDE | HEADING | VELOCITY | CALLSIGN | SQUAWK | VERTICAL
 
 def adsb(**over: Any) -> Any:
     """500 m up, flying east at 60 m/s and climbing at 2.5 m/s."""
-    values = {"ICAO_address": 0x4B1234, "lat": 473970000, "lon": -85450000, "altitude_type": 0}
+    values = {"ICAO_address": 0x4B1234, "lat": LAT_E7, "lon": -LON_E7, "altitude_type": 0}
     values |= {"altitude": 500_000, "heading": 9000, "hor_velocity": 6000, "ver_velocity": 250}
     values |= {"callsign": b"HBABC", "emitter_type": 1, "tslc": 2, "flags": ALL, "squawk": 7000}
     return mavlink.MAVLink_adsb_vehicle_message(**(values | over))
@@ -234,7 +235,12 @@ def test_adsb_in_si_and_ned() -> None:
     event = read(adsb())
     assert isinstance(event, AdsbVehicle)
     assert event.velocity_ned_mps == pytest.approx((0.0, 60.0, -2.5))
-    assert (event.icao, event.lat_deg, event.lon_deg, event.alt_m) == (0x4B1234, 47.397, -8.545, 500.0)
+    assert (event.icao, event.lat_deg, event.lon_deg, event.alt_m) == (
+        0x4B1234,
+        HOME.lat_deg,
+        -HOME.lon_deg,
+        500.0,
+    )
     assert (event.alt_geometric, event.age_s, event.callsign, event.emitter) == (False, 2.0, "HBABC", 1)
     assert read(adsb(altitude_type=1)).alt_geometric
 
@@ -253,7 +259,7 @@ def test_flags_say_what_is_known() -> None:
     junk = {"altitude": 2**31 - 1, "altitude_type": 9, "heading": 65535, "hor_velocity": 65535}
     junk |= {"ver_velocity": -32768, "callsign": b"\xff\xfe"}
     assert read(adsb(flags=COORDS, **junk)) == AdsbVehicle(
-        icao=0x4B1234, lat_deg=47.397, lon_deg=-8.545, age_s=2.0, emitter=1
+        icao=0x4B1234, lat_deg=HOME.lat_deg, lon_deg=-HOME.lon_deg, age_s=2.0, emitter=1
     )
 
 

@@ -16,6 +16,7 @@ from companion.errors import PeerDataError
 from companion.events import Attitude, ObstaclePoint, ObstacleScan, SensedAircraft
 from companion.events.sensed import NOTHING, UNKNOWN
 from tests.companion.autopilot.conftest import PX4, Scripted
+from tests.support.place import LAT_E7, LON_E7
 
 SENSOR = 196
 FRD = mavlink.MAV_FRAME_BODY_FRD
@@ -55,7 +56,7 @@ def turned(roll=0.0, pitch=0.0, yaw=0.0):
 def aircraft(**over):
     values = {"flags": 0x3F, "altitude_type": 0, "tslc": 0} | over
     return mavlink.MAVLink_adsb_vehicle_message(
-        77, 473970000, 85450000, values["altitude_type"], 450000, 9000, 1000, 0, b"", 14, values["tslc"],
+        77, LAT_E7, LON_E7, values["altitude_type"], 450000, 9000, 1000, 0, b"", 14, values["tslc"],
         values["flags"], 0,
     )  # fmt: skip
 

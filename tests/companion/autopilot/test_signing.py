@@ -22,11 +22,12 @@ from companion.autopilot.tlog import TlogWriter, read_tlog
 from companion.autopilot.wire import Frame, FrameScanner, MavlinkReader, MavlinkWriter, without_signature
 from companion.config import VehicleConfig
 from companion.events import ArmStatus, GlobalPosition, Heartbeat, RemoteIdModule, VelocitySetpoint
+from tests.support.place import LAT_E7, LON_E7
 
 KEY, OTHER_KEY = bytes(range(32)), bytes(32)
 START = timestamp_at(1_767_225_600.0)
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 3, 81, 4, 4, 3)
-POSITION = mavlink.MAVLink_global_position_int_message(1000, 473970000, 85450000, 0, 0, 0, 0, 0, 0)
+POSITION = mavlink.MAVLink_global_position_int_message(1000, LAT_E7, LON_E7, 0, 0, 0, 0, 0, 0)
 MESSAGES = (
     HEARTBEAT,
     mavlink.MAVLink_system_time_message(0, 0),

@@ -12,13 +12,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.tlog import TlogCounts, TlogWriter, _Reader, read_tlog
 from companion.autopilot.wire import MavlinkWriter, is_known, message_id_of
 from companion.errors import PeerDataError
+from tests.support.place import LAT_E7, LON_E7
 
 UTC_S = 1_700_000_000.0
 
 
 def frame(number: int, *, v1: bool = False) -> bytes:
     encoder = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-    message = mavlink.MAVLink_global_position_int_message(number, 473970000, 85450000, 1, 2, 3, 4, 5, 6)
+    message = mavlink.MAVLink_global_position_int_message(number, LAT_E7, LON_E7, 1, 2, 3, 4, 5, 6)
     return bytes(message.pack(encoder, force_mavlink1=v1))
 
 

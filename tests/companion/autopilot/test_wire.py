@@ -25,6 +25,7 @@ from companion.autopilot.wire import (
     message_id_of,
     without_signature,
 )
+from tests.support.place import LAT_E7, LON_E7
 
 UNKNOWN_V2 = bytes([0xFD, 3, 0, 0, 0, 1, 1, 0x39, 0x30, 0, 1, 2, 3, 0xAA, 0xBB])
 
@@ -33,7 +34,7 @@ def frames() -> list[bytes]:
     writer = MavlinkWriter(1, 1)
     messages: list[Any] = [
         mavlink.MAVLink_heartbeat_message(2, 3, 81, 4, 4, 3),
-        mavlink.MAVLink_global_position_int_message(5, 473970000, 85450000, 1, 2, 3, 4, 5, 6),
+        mavlink.MAVLink_global_position_int_message(5, LAT_E7, LON_E7, 1, 2, 3, 4, 5, 6),
         mavlink.MAVLink_statustext_message(6, b"PreArm: GPS bad", 0, 0),
         mavlink.MAVLink_system_time_message(0, 0),
     ]

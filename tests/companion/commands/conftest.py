@@ -13,6 +13,7 @@ import pytest
 
 from companion.autopilot.wire import MavlinkWriter
 from tests.companion.runtime.conftest import no_service_manager
+from tests.support.place import LAT_E7, LON_E7
 
 __all__ = ["no_service_manager"]
 
@@ -27,7 +28,7 @@ class Vehicle:
         self.clock_off_s = 0.0
         self.old_s = 0.0
         """How old its positions grow within a second."""
-        self.lat_e7 = 473_970_000
+        self.lat_e7 = LAT_E7
         self.noise = b""
         self.forwarded = b""
         """Frames of others."""
@@ -43,7 +44,7 @@ class Vehicle:
         encode, up_s = writer.encoder, time.monotonic() - self._began_s
         boot_ms = round((100.0 + up_s * (1.0 - self.old_s)) * 1e3)
         unix_us = 0 if self.clock_off_s == math.inf else round((time.time() - self.clock_off_s) * 1e6)
-        place = self.lat_e7, 85_450_000 if self.lat_e7 else 0
+        place = self.lat_e7, LON_E7 if self.lat_e7 else 0
         messages = (
             encode.heartbeat_encode(2, 3, 1, 5, 4),
             encode.global_position_int_encode(boot_ms, *place, 450_000, 50_000, 0, 0, 0, 0),

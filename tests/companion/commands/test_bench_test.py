@@ -20,8 +20,8 @@ from companion.events import Firmware, RadioState
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from tests.companion.commands.conftest import Vehicle
 from tests.companion.core.conftest import intruder
-from tests.sitl_mocks.onboard.guarding import mission
-from tests.sitl_mocks.onboard.pair import Pair
+from tests.sitl_mocks.with_companion.guarding import mission
+from tests.sitl_mocks.with_companion.pair import Pair
 
 HEIGHT_M = 12.0
 SUMMARY = {"records_dropped": 0, "recorder_error": None, "link_losses": 0}

@@ -14,7 +14,7 @@ from companion.event_record import Header, Step
 from companion.events import AuthorityChanged, Firmware, FlightMode, Landed, Say, SetMode, Threat
 from tests.companion.conftest import Bench, mission
 from tests.companion.core.conftest import intruder
-from tests.companion.core.guarding import meet
+from tests.companion.core.guarded.guarding import meet
 from tests.support import plugged
 
 

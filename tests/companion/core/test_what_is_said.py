@@ -5,7 +5,7 @@ from __future__ import annotations
 from companion.authority.table import State
 from companion.events import FlightMode, Say, Severity, TwoAutopilots
 from tests.companion.core.conftest import intruder
-from tests.companion.core.guarding import taken
+from tests.companion.core.guarded.guarding import taken
 
 
 def said(bench, state):

@@ -38,13 +38,14 @@ from companion.remote_id.messages import (
     UaType,
 )
 from tests.companion.remote_id.odid import EPOCH, LAST_SECOND, MAC
+from tests.support.place import HOME, LAT_E7, LON_E7
 
 # ---------------------------------------------------------------- layouts
 
 LOCATION = Location(
     status=Status.AIRBORNE,
-    lat_deg=47.397,
-    lon_deg=-8.545,
+    lat_deg=HOME.lat_deg,
+    lon_deg=-HOME.lon_deg,
     alt_geodetic_m=430.25,
     alt_baro_m=399.5,
     height_type=HeightType.ABOVE_GROUND,
@@ -92,8 +93,8 @@ def theirs_location(**over: Any) -> Any:
         "direction": 35925,
         "speed_horizontal": 507,
         "speed_vertical": -123,
-        "latitude": 473970000,
-        "longitude": -85450000,
+        "latitude": LAT_E7,
+        "longitude": -LON_E7,
         "altitude_barometric": 399.5,
         "altitude_geodetic": 430.25,
         "height_reference": 1,

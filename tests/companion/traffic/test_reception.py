@@ -131,7 +131,9 @@ def test_every_transport_of_a_track_by_its_locations():
     hear("ble4", 0.0, 0, name)
     for k in range(200):
         now_s = 0.1 * k
-        place = Location(lat_deg=47.397, lon_deg=8.546, timestamp_s=round(now_s, 1), speed_mps=0.0)
+        place = Location(
+            lat_deg=HOME.lat_deg, lon_deg=HOME.lon_deg + 0.001, timestamp_s=round(now_s, 1), speed_mps=0.0
+        )
         hear("ble4", now_s, (200 + k) & 0xFF, place)
         # On BLE 4 every kind of message has a counter of its own.
         hear("ble4", now_s, k // 10, SelfId(description_type=0, text=f"{k // 10}"))

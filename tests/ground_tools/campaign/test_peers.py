@@ -19,10 +19,11 @@ from ground_tools import cli
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import flight, outcome, tables
 from ground_tools.campaign.cells import Cell
-from ground_tools.campaign.peers import common, flown, fly_away, laws, mvp, orca, pareto, search
-from ground_tools.campaign.peers import table as comparison
+from ground_tools.campaign.peer_comparison import pareto, search
+from ground_tools.campaign.peer_comparison import table as comparison
+from ground_tools.campaign.peers import common, flown, fly_away, laws, mvp, orca
 from ground_tools.campaign.world import World
-from ground_tools.results.sources import ROOT
+from ground_tools.common.sources import ROOT
 
 PEERS = sorted(laws.PEERS)
 EXACT = World(end_s=100.0, sigma_m=0.0, sigma_mps=0.0, declared_m=0.0, quantised=False, delay_s=(0.0, 0.0))
@@ -180,7 +181,7 @@ def head_on(law, world, aside_m):
     times = np.tile([0.0, 60.0], (2, 1))
     meaning = flown.flown_by(law, campaign.LAWS)
     rows = [
-        meaning.settings(
+        meaning.settings_row(
             settings_of(meaning.avoidance, LimitsConfig(), Trajectory(t.tolist(), p.tolist())), True
         )
         for t, p in zip(times, points, strict=True)
@@ -261,8 +262,8 @@ def test_a_changed_number_is_not_an_intruders():
     """Otherwise a larger acceleration of ours would come with intruders that turn less sharply."""
     changed = flown.flown_by("dmuca:acceleration_mps2=1", campaign.LAWS)
     as_it_is = flown.flown_by("dmuca", campaign.LAWS)
-    assert changed.settings(LIMITS, True) != as_it_is.settings(LIMITS, True)
-    assert changed.settings(LIMITS, False) == as_it_is.settings(LIMITS, False)
+    assert changed.settings_row(LIMITS, True) != as_it_is.settings_row(LIMITS, True)
+    assert changed.settings_row(LIMITS, False) == as_it_is.settings_row(LIMITS, False)
 
 
 def test_the_own_law_flies_as_it_is_kept():
@@ -378,7 +379,7 @@ def test_the_picture_needs_every_cell(tmp_path):
 
 def test_the_columns_of_parameters_follow_those_of_the_own_law():
     assert len(k.Settings._fields) == common.AVOIDS
-    row = flown.flown_by("mvp", campaign.LAWS).settings(LIMITS, False)
+    row = flown.flown_by("mvp", campaign.LAWS).settings_row(LIMITS, False)
     assert row[common.AVOIDS] == 0.0
     assert row[0] == k.NONE
     assert tuple(row[common.FIRST :]) == tuple(laws.PEERS["mvp"].best)

@@ -15,7 +15,8 @@ from ground_tools import cli
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign.cells import Cell
 from ground_tools.campaign.generators import HEIGHT_M
-from ground_tools.campaign.scenarios import bluesky, files, measures, metropolis
+from ground_tools.campaign.scenario_measures import measures
+from ground_tools.campaign.scenarios import bluesky, files, metropolis
 
 KNOT = 1852.0 / 3600.0
 DEGREE_M = math.radians(1.0) * 6_371_000.0

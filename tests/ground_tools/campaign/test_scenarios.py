@@ -15,7 +15,8 @@ from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import tables, vehicles
 from ground_tools.campaign.cells import Cell
 from ground_tools.campaign.generators import HEIGHT_M, MEETING_S
-from ground_tools.campaign.scenarios import command, layouts, measures, missions
+from ground_tools.campaign.scenario_measures import command, measures
+from ground_tools.campaign.scenarios import layouts, missions
 
 MISSION = Cell(generator="cruise", aircraft=2, intruders=0.5, intruder="survey", delay_s=(1.0, 2.0))
 

@@ -14,11 +14,11 @@ from companion.remote_id.region import Region
 from companion.shipped import shipped
 from ground_tools.campaign.world import World
 from ground_tools.city.cells import CHANNEL, POLICY
+from ground_tools.city.draws import draw_arrivals
 from ground_tools.city.links import Grid
 from ground_tools.city.loop import State
 from ground_tools.city.measure import new_tally
 from ground_tools.city.radio.choosing import ByPolicy, Fixed, Seen
-from ground_tools.city.radio.draws import draw_arrivals
 from ground_tools.city.radio.reception import AnalyticRadio
 from ground_tools.city.tables import new_air, new_fleet, new_near, new_tracks
 from sitl_mocks.channel import Analytic, ChannelParameters, Fleet, all_links, draw_positions, load_parameters

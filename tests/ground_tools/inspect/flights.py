@@ -16,7 +16,7 @@ from companion.events import AnyCommand, AnyEvent, Decision, Firmware, GlobalPos
 from companion.geometry import Vec3
 from ground_tools.inspect import command
 from ground_tools.inspect.read.read_run import AircraftRecord, read_run
-from tests.sitl_mocks.onboard.guarding import head_on
+from tests.sitl_mocks.with_companion.guarding import head_on
 from tests.support.place import HOME
 
 

@@ -13,9 +13,9 @@ from ground_tools.paper.figures.convergence import (
     comparisons,
     converged_at,
     failures,
-    iqm,
     statements,
 )
+from ground_tools.paper.seed_means import interquartile_mean
 
 
 def run(
@@ -56,8 +56,8 @@ def results():
 
 
 def test_interquartile_mean_leaves_out_a_quarter_at_either_end():
-    assert iqm(np.array([[1.0], [2.0], [3.0], [4.0], [100.0]])) == pytest.approx(3.0)
-    assert iqm(np.array([[1.0], [3.0]])) == pytest.approx(2.0)
+    assert interquartile_mean(np.array([[1.0], [2.0], [3.0], [4.0], [100.0]])) == pytest.approx(3.0)
+    assert interquartile_mean(np.array([[1.0], [3.0]])) == pytest.approx(2.0)
 
 
 def test_numbers_of_a_run():

@@ -22,7 +22,7 @@ def row(*below, number=0):
 
 def test_the_least_distances_of_the_flight_are_those_of_its_trace():
     for geometry in ("S1", "S3"):
-        trace, least = flown(READINGS[NARROW].law, IN["exact"], (1.0, 2.0), 5, geometry)
+        trace, least = flown(READINGS[NARROW].avoidance, IN["exact"], (1.0, 2.0), 5, geometry)
         assert np.array_equal(least, least_distances(trace))
 
 
@@ -30,7 +30,9 @@ def test_a_row_counts_the_pairs_of_every_flight():
     found = row_of(NARROW, 3, 7)
     reading = READINGS[NARROW]
     for place, delay_s in enumerate(DELAYS_S):
-        least = [flown(reading.law, IN["exact"], delay_s, seed, reading.geometry)[1] for seed in (7, 8, 9)]
+        least = [
+            flown(reading.avoidance, IN["exact"], delay_s, seed, reading.geometry)[1] for seed in (7, 8, 9)
+        ]
         assert found.below[place] == tuple(int((pairs < 10.0).sum()) for pairs in least)
         assert found.least_m[place] == min(pairs.min() for pairs in least)
 

@@ -8,7 +8,8 @@ import pytest
 from companion.errors import ConfigError
 from companion.shipped import shipped
 from ground_tools import cli
-from ground_tools.results import command, kept, provenance
+from ground_tools.common import provenance
+from ground_tools.results import command, kept
 from ground_tools.results.kept import Entry
 
 NAME = "results/some.json"

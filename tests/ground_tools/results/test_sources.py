@@ -6,7 +6,8 @@ import shutil
 
 import pytest
 
-from ground_tools.results import kept, sources
+from ground_tools.common import sources
+from ground_tools.results import kept
 
 
 def tree(root, **files):

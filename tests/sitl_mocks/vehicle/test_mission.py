@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.errors import ConfigError
 from companion.events import Firmware, Landed, MissionItem
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
-from tests.support.place import HOME
+from tests.support.place import HOME, LAT_E7, LON_E7
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 BOTH = pytest.mark.parametrize("firmware", [AP, PX4])
@@ -85,7 +85,7 @@ def test_ardupilot_item_0_comes_back_as_home(bench):
     b = bench(AP)
     upload(b, plan(AP))
     home = download(b)[0]
-    assert (home.x, home.y, home.z) == (473970000, 85450000, 400.0)
+    assert (home.x, home.y, home.z) == (LAT_E7, LON_E7, HOME.alt_m)
 
 
 def test_old_float_request_is_answered_with_mission_item(bench):

@@ -17,6 +17,7 @@ from companion.remote_id.mavlink import READABLE, decode_odid
 from companion.remote_id.messages import Location, System
 from companion.system import CompanionSystem
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle, VehicleOptions
+from tests.support.place import HOME, LAT_E7, LON_E7
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 EPOCH = 1546300800
@@ -44,7 +45,7 @@ def system(timestamp, kind=1, lat=473969000, lon=85449000):
 
 
 def update(timestamp):
-    return mavlink.MAVLink_open_drone_id_system_update_message(0, 0, 473970000, 85450000, 391.0, timestamp)
+    return mavlink.MAVLink_open_drone_id_system_update_message(0, 0, LAT_E7, LON_E7, 391.0, timestamp)
 
 
 def arm_status(status=0, text=b""):
@@ -63,7 +64,7 @@ def test_px4s_clock_with_and_without_gnss_time(airborne, utc_s, time_s, stamp):
     assert place.timestamp == pytest.approx(time_s)
     assert (place.status, place.height, place.horizontal_accuracy) == (2, pytest.approx(50.0), 11)
     assert home.timestamp == stamp
-    assert (home.operator_location_type, home.operator_latitude) == (0, 473970000)
+    assert (home.operator_location_type, home.operator_latitude) == (0, LAT_E7)
 
 
 def test_an_enabled_ardupilot_sends_its_own_and_what_it_was_told_in_turn(bench):
@@ -92,7 +93,7 @@ def test_what_it_is_told_is_relayed_as_received(bench):
     b.now_s = 4.0
     b.send(update(77))
     moved = [m for m in b.run(4.0) if m.get_type() == "OPEN_DRONE_ID_SYSTEM"][-1]
-    assert (moved.operator_latitude, moved.operator_altitude_geo, moved.timestamp) == (473970000, 391.0, 77)
+    assert (moved.operator_latitude, moved.operator_altitude_geo, moved.timestamp) == (LAT_E7, 391.0, 77)
     assert (moved.area_ceiling, moved.area_count, moved.operator_location_type) == (-1000.0, 1, 1)
 
 
@@ -258,7 +259,7 @@ def test_the_mocks_own_location_is_what_it_flies():
     (place,) = [
         m for f in frames for m in decode_odid(f.message_id, f.payload).messages if isinstance(m, Location)
     ]
-    assert place.lat_deg == pytest.approx(47.39727, abs=1e-5)
+    assert place.lat_deg == pytest.approx(HOME.lat_deg + 0.00027, abs=1e-5)
     assert place.lon_deg == pytest.approx(8.54553, abs=1e-5)
     assert place.alt_geodetic_m == pytest.approx(497.0, abs=0.01)
     assert place.height_m == pytest.approx(50.0, abs=0.01)

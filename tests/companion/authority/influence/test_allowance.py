@@ -5,69 +5,10 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from companion.authority.influence.allowance import Allowances
-from companion.avoidance.law import ASIDE, LawResult, Neighbour
-from companion.config import Config, ContainmentConfig, IdentityConfig
-from companion.events import AllowanceSpent, Say, TrackView
-
-SHORT = ContainmentConfig(
-    track_s=40.0, inside_s=20.0, group_s=60.0, total_s=100.0, refill_s=1000.0, crewed_total_s=50.0
-)
-
-ZERO = (0.0, 0.0, 0.0)
-
-
-def other(name, *, at=(20.0, 0.0, 0.0), velocity=(1.0, 0.0, 0.0), **fields):
-    return Neighbour(name, at, velocity, 0.0, 3.0, **fields)
-
-
-class Sky:
-    """What is heard, how far it moves, and what the law would say of it: all of it is in conflict."""
-
-    def __init__(self, config=SHORT, use="fly"):
-        made = Config(identity=IdentityConfig(uas_id="OWN"), containment=config)
-        flight = msgspec.structs.replace(made.flight, use=use)
-        self.all = Allowances(msgspec.structs.replace(made, flight=flight))
-        self.now_s = 0.0
-        self.told = []
-        self.hold = None
-        self.quiet = set()
-        """Tracks that are in no conflict."""
-
-    def run(self, seconds, *others, radius_m=10.0, height_m=0.0, held=True, back=False):
-        """Names of the tracks that were avoided at the end."""
-        admitted = []
-        for _ in range(round(seconds / 0.2)):
-            self.now_s += 0.2
-            others = [
-                msgspec.structs.replace(
-                    o,
-                    position_ned_m=tuple(
-                        p + 0.2 * v for p, v in zip(o.position_ned_m, o.velocity_ned_mps, strict=True)
-                    ),
-                )
-                for o in others
-            ]
-            admitted = self.all.admitted(self.now_s, ZERO, ZERO, others)
-            views = tuple(
-                TrackView(
-                    track_id=o.track_id, position_ned_m=o.position_ned_m, velocity_ned_mps=o.velocity_ned_mps,
-                    age_s=0.0, radius_m=radius_m, conflict=o.track_id not in self.quiet,
-                    time_to_closest_s=5.0, closest_m=0.0, active=o.track_id not in self.quiet, adsb=o.adsb,
-                    height_m=height_m, yields=o.yields,
-                )
-                for o in admitted
-            )  # fmt: skip
-            result = LawResult(ZERO, ZERO, True, bool(views), False, (), views)
-            self.all.charge(self.now_s, ZERO, ZERO, result, held=held, back=back)
-            self.told += self.all.told()
-            self.hold = self.hold or self.all.hold
-        self.yielding = {o.track_id for o in admitted if o.yields}
-        self.pressing = {o.track_id for o in admitted if o.presses}
-        return [o.track_id for o in admitted]
-
-    def scopes(self):
-        return [(c.scope, c.spent) for c in self.told if isinstance(c, AllowanceSpent)]
+from companion.avoidance.law import ASIDE
+from companion.config import ContainmentConfig
+from companion.events import AllowanceSpent, Say
+from tests.companion.authority.influence.sky import SHORT, ZERO, Sky, other
 
 
 def test_a_track_that_has_spent_its_allowance_is_left_out_and_others_are_not():
@@ -140,145 +81,12 @@ def test_a_new_name_inside_takes_over_what_the_last_one_used():
     assert sky.run(10.0, other("C", at=(-50.0, 0.0, 0.0)), radius_m=30.0) == ["C"]
 
 
-@pytest.mark.parametrize("stands", [True, False])
-def test_a_track_that_presses_yields_unless_it_stood_there_before(stands):
-    sky = Sky(ContainmentConfig())
-    velocity = ZERO if stands else (0.7, 0.0, 0.0)
-    far = other("A", at=(120.0, 0.0, 0.0), velocity=ZERO)
-    sky.run(2.4, far, radius_m=60.0)
-    assert sky.run(25.0, other("A", at=(5.0, 0.0, 0.0), velocity=velocity), radius_m=60.0) == ["A"]
-    assert not sky.yielding
-    place = (5.0, 0.0, 0.0) if stands else (22.5, 0.0, 0.0)
-    coming = other("B", at=(200.0, 0.0, 0.0), velocity=(-6.0, 0.0, 0.0))
-    assert sky.run(10.0, other("A", at=place, velocity=velocity), coming, radius_m=60.0) == ["A", "B"]
-    assert sky.yielding == (set() if stands else {"A"})
-    assert (("squeeze", True) in sky.scopes()) is not stands
-
-
-@pytest.mark.parametrize(("away_m", "yields"), [(7.0, True), (12.0, False)])
-def test_who_is_first_heard_inside_its_volume_yields(away_m, yields):
-    """It is avoided all the same."""
-    sky = Sky()
-    assert sky.run(5.0, other("A", at=(away_m, 0.0, 0.0), velocity=ZERO)) == ["A"]
-    assert sky.yielding == ({"A"} if yields else set())
-    sky.run(10.0, other("A", at=(200.0, 0.0, 0.0), velocity=ZERO))
-    sky.run(1.0, other("A", at=(7.0, 0.0, 0.0), velocity=ZERO))
-    assert sky.yielding == ({"A"} if yields else set())
-    sky.run(16.0, other("A", at=(200.0, 0.0, 0.0), velocity=ZERO))
-    sky.run(1.0, other("A", at=(7.0, 0.0, 0.0), velocity=ZERO))
-    assert not sky.yielding
-
-
-@pytest.mark.parametrize(
-    ("pause_s", "away_m", "yields"),
-    [(57.0, 59.0, True), (62.0, 59.0, False), (10.0, 61.0, False), (1.0, 20.0, False), (4.0, 20.0, True)],
-)
-def test_who_appears_near_us_after_another_one_yields(pause_s, away_m, yields):
-    """A single aircraft near us may have taken off there, and a swarm is received within seconds."""
-    sky = Sky()
-    first = other("A", at=(40.0, 0.0, 0.0), velocity=ZERO)
-    sky.run(pause_s, first)
-    assert not sky.yielding
-    second = other("B", at=(away_m, 0.0, 0.0), velocity=ZERO)
-    sky.run(1.0, second)
-    assert sky.yielding == ({"B"} if yields else set())
-    sky.run(18.0, second)
-    assert not sky.yielding
-
-
-def test_one_that_is_received_for_long_does_not_appear_when_we_first_look():
-    """It lost its proof, or a sensor saw it meanwhile."""
-    sky = Sky()
-    sky.run(5.0, other("A", at=(40.0, 0.0, 0.0)))
-    sky.run(1.0, other("B", at=(40.0, 0.0, 0.0), known_s=2.5), other("C", at=(40.0, 0.0, 0.0), known_s=1.0))
-    assert sky.yielding == {"C"}
-
-
-def test_only_a_track_that_was_inside_or_follows_presses():
-    """A plug-in's law leaves those out that press; it avoids an aircraft that takes off not far away."""
-    sky = Sky()
-    sky.run(5.0, other("X", at=(40.0, 0.0, 0.0)))
-    sky.run(1.0, other("A", at=(5.0, 0.0, 0.0)), other("B", at=(40.0, 0.0, 0.0)))
-    assert sky.yielding == {"A", "B"}
-    assert sky.pressing == {"A"}
-
-
-def test_a_second_track_of_one_name_yields_only_inside():
-    """A copy has made two of an aircraft that was received from far away. Either may be the true one."""
-    sky = Sky()
-    sky.run(5.0, other("X", at=(40.0, 0.0, 0.0)))
-    sky.run(1.0, other("A#2", at=(40.0, 0.0, 0.0), split=True), other("B#2", at=(40.0, 0.0, 0.0)))
-    assert sky.yielding == {"B#2"}
-    sky.run(1.0, other("C#2", at=(7.0, 0.0, 0.0), split=True))
-    assert sky.yielding == {"C#2"}
-
-
-def test_another_place_of_a_track_is_not_where_it_appeared():
-    sky = Sky()
-    sky.run(5.0, other("X", at=(40.0, 0.0, 0.0)))
-    sky.run(1.0, other("A", at=(200.0, 0.0, 0.0)), other(f"A{ASIDE}1", at=(40.0, 0.0, 0.0)))
-    assert not sky.yielding
-
-
-@pytest.mark.parametrize("together", [True, False])
-def test_a_silent_track_yields_if_it_appeared_in_a_burst(together):
-    sky = Sky()
-    sky.run(5.0, other("A", at=(120.0, 0.0, 0.0), together=together))
-    assert not sky.yielding
-    assert sky.run(1.0, other("A", at=(40.0, 0.0, 0.0), together=together, silent=True)) == ["A"]
-    assert sky.yielding == ({"A"} if together else set())
-
-
 def test_a_track_that_is_gone_is_not_charged():
     """The law may still show it for a step."""
     sky = Sky()
     sky.run(1.0, other("A"))
     sky.run(1.0)
     assert not sky.all._places
-
-
-def test_a_name_that_somebody_else_has_used_before_does_not_yield():
-    """A transmitter sends it from a place beside us for a while, before the true one is received."""
-    sky = Sky()
-    sky.run(15.0, other("A", at=(5.0, 0.0, 0.0)), radius_m=30.0)
-    assert sky.yielding == {"A"}
-    sky.run(1.8)
-    sky.run(0.2, other("A", at=(200.0, 0.0, 0.0)))
-    assert sky.yielding == {"A"}
-    used = sky.all._tracks[False, "A"].used.used_s
-    sky.run(2.2)
-    sky.run(0.2, other("A", at=(200.0, 0.0, 0.0)))
-    assert not sky.yielding
-    assert sky.all._tracks[False, "A"].used.used_s >= used
-    # A pause of the decisions is no silence of the track.
-    sky = Sky()
-    sky.run(5.0, other("A", at=(5.0, 0.0, 0.0)))
-    sky.now_s += 60.0
-    sky.run(0.2, other("A", at=(5.0, 0.0, 0.0)))
-    assert sky.all._tracks[False, "A"].first_s < 1.0
-
-
-def test_time_outside_counts_half_against_time_inside():
-    """It presses after 30 s inside; it did not appear there."""
-    sky = Sky(ContainmentConfig())
-    inside, outside = ({"at": (x, 0.0, 0.0), "velocity": ZERO} for x in (5.0, 90.0))
-    sky.run(2.4, other("A", **outside), radius_m=30.0)
-    sky.run(24.0, other("A", **inside), radius_m=30.0)
-    sky.run(16.0, other("A", **outside), radius_m=30.0)
-    sky.run(12.0, other("A", **inside), radius_m=30.0)
-    assert sky.all._tracks[False, "A"].pressed_s == pytest.approx(28.0, abs=0.5)
-    assert not sky.yielding
-    sky.run(3.0, other("A", **inside), radius_m=30.0)
-    assert sky.yielding == {"A"}
-
-
-def test_crewed_and_proven_traffic_never_yields():
-    sky = Sky()
-    near = {"at": (5.0, 0.0, 0.0)}
-    sky.run(
-        5.0, other("A", crewed=True, adsb=True, **near), other("B", proven=True, **near), other("C", **near)
-    )
-    assert sky.yielding == {"C"}
 
 
 def test_a_group_shares_and_each_of_it_keeps_a_quarter_of_a_tracks():
@@ -419,22 +227,6 @@ def test_a_track_that_appears_inside_takes_over_the_most_of_what_others_have_use
     assert heir.used.used_s == pytest.approx(18.8, abs=1.0)
     assert heir.inside.used_s == pytest.approx(18.8, abs=1.0)
     assert heir.pressed_s == pytest.approx(18.8, abs=1.0)
-
-
-def test_it_is_told_once_that_a_track_yields_to_another():
-    """Again only after it has not for a while."""
-    sky, presses, other_one = Sky(), other("A", at=(5.0, 0.0, 0.0)), other("B", at=(90.0, 0.0, 0.0))
-
-    def told():
-        return [c.text for c in sky.told if isinstance(c, AllowanceSpent)]
-
-    sky.run(3.0, presses, other_one)
-    sky.run(2.0, other_one)
-    sky.run(3.0, presses, other_one)
-    assert told() == ["A yields to B"]
-    sky.run(16.0, other_one)
-    sky.run(3.0, presses, other_one)
-    assert told() == ["A yields to B"] * 2
 
 
 def test_it_is_recorded_when_a_total_is_whole_again():

@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.events import DownloadMission, Event, MissionDownloaded, MissionItem, MissionRefused
 from tests.companion.autopilot.conftest import Scripted
+from tests.support.place import HOME, LAT_E7, LON_E7
 
 US = {"target_system": 1, "target_component": 191}
 GUIDED = 4
@@ -16,7 +17,7 @@ GUIDED = 4
 def item(seq: int, **over: Any) -> Any:
     values: dict[str, Any] = {"frame": 3, "command": 16, "current": 0, "autocontinue": 1}
     values |= dict.fromkeys(["param1", "param2", "param3", "param4"], 0.0)
-    values |= {"x": 473970000 + seq * 1000, "y": 85450000, "z": 30.0}
+    values |= {"x": LAT_E7 + seq * 1000, "y": LON_E7, "z": 30.0}
     return mavlink.MAVLink_mission_item_int_message(1, 191, seq, **(values | over))
 
 
@@ -54,7 +55,7 @@ def test_ardupilots_home_is_left_out(ardupilot: Scripted) -> None:
     assert isinstance(downloaded, MissionDownloaded)
     assert [i.seq for i in downloaded.items] == [1, 2]
     assert downloaded.items[0] == MissionItem(
-        seq=1, command=16, frame=3, lat_deg=47.3971, lon_deg=8.545, alt_m=30.0
+        seq=1, command=16, frame=3, lat_deg=(LAT_E7 + 1000) / 1e7, lon_deg=HOME.lon_deg, alt_m=30.0
     )
     (thanks,) = ardupilot.told()
     assert (thanks.get_type(), thanks.type) == ("MISSION_ACK", 0)

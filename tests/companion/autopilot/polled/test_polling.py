@@ -13,6 +13,7 @@ from companion.events import (
     Firmware,
 )
 from tests.companion.autopilot.conftest import Scripted
+from tests.support.place import LAT_E7, LON_E7
 
 ARDUPILOT_RATES_HZ = {
     number: rate for number, rate in STREAM_RATES_HZ.items() if FIRMWARE_OF.get(number) is not Firmware.PX4
@@ -96,7 +97,7 @@ ADSB = mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE
 
 def adsb(flags: int = 3, icao: int = 0x4B1234) -> mavlink.MAVLink_adsb_vehicle_message:
     return mavlink.MAVLink_adsb_vehicle_message(
-        icao, 473970000, 85450000, 0, 500_000, 0, 0, 0, b"", 1, 0, flags, 0
+        icao, LAT_E7, LON_E7, 0, 500_000, 0, 0, 0, b"", 1, 0, flags, 0
     )
 
 

@@ -130,6 +130,7 @@ def test_a_flood_that_never_ends_does_not_hold_a_call(listening, trouble, monkey
 
 
 def test_after_a_stall_all_that_waited_is_had_by_reading_until_empty(listening, sender):
+    """They are more than a socket of the usual size has room for."""
     vehicle = sender()
     for number in range(500):
         vehicle.send(MAVLINK + b"%d\n" % number)
@@ -138,11 +139,6 @@ def test_after_a_stall_all_that_waited_is_had_by_reading_until_empty(listening, 
         received = listening.receive(0.0)
         data += received.data
     assert data.split(b"\n")[-2] == MAVLINK + b"499"
-
-
-def test_udp_has_more_room_for_a_stall_than_is_usual(listening):
-    with socket.socket(type=socket.SOCK_DGRAM) as usual:
-        assert listening.receive_buffer > usual.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
 
 def test_udp_sends_nothing_behind_what_has_not_left(listening, sender, trouble, monkeypatch):

@@ -16,12 +16,13 @@ from rich.console import Console
 from companion.commands.status import ask, find_socket, render
 from companion.errors import ConfigError
 from companion.runtime.status.status_socket import Status, StatusServer, TrackStatus, folders
+from tests.support.place import HOME
 
 LONG_S = 60.0
 STATUS = Status(
     aircraft="OWN", software="0", dry_run=False, up_s=12.0, utc_s=1_767_225_600.0, state="avoiding",
     waits_for=None, unfit=None, vehicle="px4, system 1", mode="external", armed=True, landed="in air",
-    heartbeat_age_s=0.4, position_age_s=0.05, lat_deg=47.397, lon_deg=8.545, alt_msl_m=450.0,
+    heartbeat_age_s=0.4, position_age_s=0.05, lat_deg=HOME.lat_deg, lon_deg=HOME.lon_deg, alt_msl_m=450.0,
     velocity_ned_mps=(3.0, 0.0, 0.0), gnss_fix_type=3, sigma_m=1.0, link="udpin:127.0.0.1:14540",
     link_up=True, link_losses=0, link_dropped=0, link_errors=0, radio="connected", radio_ok=True,
     rates={"wifi": 2}, remote_id_trouble=None, frames_sent=24, frames_heard=300, bad_frames=0,

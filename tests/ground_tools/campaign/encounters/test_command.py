@@ -12,7 +12,7 @@ from companion.errors import ConfigError
 from ground_tools import cli
 from ground_tools.campaign.encounters import cells, flight, pairing, report
 from ground_tools.campaign.encounters.cells import Cell, Row
-from ground_tools.campaign.encounters.judge import NMAC, WELL_CLEAR
+from ground_tools.campaign.encounters.volumes import NMAC, WELL_CLEAR
 from tests.support.encounter_models import NAMES, PUBLISHED, ROTORCRAFT, TINY, model_of
 
 TINY_RUN = ["campaign", "encounters", "--model", str(TINY), "--processes", "1"]

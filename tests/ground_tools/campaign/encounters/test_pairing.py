@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ground_tools.campaign.encounters import pairing
-from ground_tools.campaign.encounters.judge import WELL_CLEAR, Volume, first_inside
 from ground_tools.campaign.encounters.model import LAYER
 from ground_tools.campaign.encounters.sampling import FOOT_M
+from ground_tools.campaign.encounters.volumes import WELL_CLEAR, Volume, first_inside
 from tests.support.encounter_models import ROTORCRAFT, model_of
 
 STEP_S = 0.5

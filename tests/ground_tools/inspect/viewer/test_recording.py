@@ -30,6 +30,7 @@ from ground_tools.inspect.viewer.blueprint import blueprint
 from ground_tools.inspect.viewer.palette import AUTHORITY, LEVELS
 from tests.ground_tools.inspect.viewer.reading import Read, packed, verify
 from tests.support import needs
+from tests.support.place import HOME
 
 pytestmark = needs.rerun
 
@@ -137,10 +138,10 @@ def test_events_are_told_and_marked_where_they_happened(found: Read) -> None:
 def test_speeds_and_the_map(found: Read) -> None:
     assert found.column("/speed/DMUCA001/flown", "scalars")[0][1] == [0.0]
     ((lat, lon),) = found.column("/map/DMUCA001/own", "positions")[300][1]
-    assert (lat, lon) == (pytest.approx(47.397, abs=1e-6), pytest.approx(8.545, abs=1e-6))
+    assert (lat, lon) == (pytest.approx(HOME.lat_deg, abs=1e-6), pytest.approx(HOME.lon_deg, abs=1e-6))
     lines = [line for _, (line,) in found.column("/map/DMUCA001/flown", "line_strings")]
-    assert lines[0][0] == pytest.approx([47.395651, 8.545], abs=1e-5)
-    assert lines[-1][-1] == pytest.approx([47.398349, 8.545], abs=1e-5)
+    assert lines[0][0] == pytest.approx([HOME.lat_deg - 0.001349, HOME.lon_deg], abs=1e-5)
+    assert lines[-1][-1] == pytest.approx([HOME.lat_deg + 0.001349, HOME.lon_deg], abs=1e-5)
 
 
 def test_a_run_with_one_aircraft_and_an_odd_name_is_drawn_too(tmp_path: Path, made: SimpleNamespace) -> None:

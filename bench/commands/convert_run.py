@@ -1,0 +1,30 @@
+"""`python -m bench.commands.convert_run KIND RUN FILE`: one product of a run, made in a process of its own.
+
+KIND is recording, summary or report. Prints the most memory that this took, in 10^6 bytes.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from bench.measuring.memory import memory_mb
+from ground_tools.inspect.read.read_run import read_run
+from ground_tools.inspect.report import page, summary
+from ground_tools.inspect.viewer import recording
+
+
+def main(kind: str, folder: str, path: str) -> None:
+    """Make it."""
+    run = read_run(Path(folder))
+    if kind == "recording":
+        recording.write(run, Path(path))
+    else:
+        figures = summary.describe(run)
+        if kind == "report":
+            page.write(run, figures, Path(path))
+    print(memory_mb("VmHWM"))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,1 @@
+"""How figures are measured: processor time, memory, and targets beside them."""
