@@ -1,4 +1,4 @@
-"""The table of docs/remote-id-results.md: what signatures add to the frames and the airtime of each transport."""
+"""The table of docs/remote-id-results.md: frames and airtime that signatures add to each transport."""
 
 from __future__ import annotations
 
