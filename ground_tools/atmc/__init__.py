@@ -5,7 +5,7 @@ simulated environment with the analytic channel model and the objectives. `learn
 algorithms: the paper's (MADQN-ATMC, MADDPG, IAC) and the set network that flies. `commands` holds the
 subcommands of `ground-tools atmc`: train, evaluate, freeze and collect. The result is a frozen policy file,
 which `companion.atmc` loads on the aircraft without PyTorch. Start reading with `env.environment.Env`, then
-`learners.flying_policy`; docs/atmc.md reports the results.
+`learners.flying_policy`; docs/atmc-results.md reports the results.
 """
 
 from __future__ import annotations

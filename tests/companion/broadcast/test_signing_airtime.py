@@ -1,4 +1,4 @@
-"""The table of docs/remote-id.md: what signatures add to the frames and the airtime of each transport."""
+"""The table of docs/remote-id-results.md: frames and airtime that signatures add to each transport."""
 
 from __future__ import annotations
 
@@ -64,4 +64,4 @@ def row(transport, rate):
 @pytest.mark.parametrize("transport", [BLE4, BLE5, WIFI_BEACON])
 @pytest.mark.parametrize("rate", [1, 10])
 def test_the_table_in_the_docs(transport, rate):
-    assert row(transport, rate) in (ROOT / "docs" / "remote-id.md").read_text()
+    assert row(transport, rate) in (ROOT / "docs" / "remote-id-results.md").read_text()

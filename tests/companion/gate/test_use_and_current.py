@@ -61,7 +61,7 @@ def test_a_word_of_the_air_between_begins_the_twelve_seconds_anew():
 
 
 def test_a_vehicle_that_flies_fast_is_not_on_the_ground_whatever_it_says():
-    """As docs/authority.md says, a landed state of a vehicle faster than 2 m/s is never believed."""
+    """As docs/troubles.md says, a landed state of a vehicle faster than 2 m/s is never believed."""
     one = flying()
     one.landed, one.velocity = Landed.ON_GROUND, (3.0, 0.0, 0.0)
     one.run(20.0)

@@ -346,7 +346,7 @@ def test_the_kept_search_found_what_the_laws_fly_with():
 def test_the_page_shows_the_kept_tables(name):
     kept = tables.read(ROOT / "results" / "campaign" / f"peers-{name}.json")
     assert [x.cell for x in kept.lines] == comparison.TABLES[name].cells()
-    page = (ROOT / "docs" / "peers.md").read_text()
+    page = (ROOT / "docs" / "peers-results.md").read_text()
     assert comparison.markdown(name, kept.lines) in page
     assert f"seeds {kept.seeds[0]:,} to {kept.seeds[1]:,}" in page
 

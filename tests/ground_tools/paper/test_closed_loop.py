@@ -301,7 +301,7 @@ def test_what_ships_was_flown_two_hundred_times_under_each_condition(kept):
 
 
 def test_the_document_says_what_was_flown(kept):
-    text = (ROOT / "docs" / "atmc.md").read_text()
+    text = (ROOT / "docs" / "atmc-results.md").read_text()
     for method in METHODS:
         cells = [kept[condition, method] for condition in CONDITIONS]
         ages = [number(rows, BY_KEY["age_mean_s"]) for rows in cells]

@@ -1,4 +1,4 @@
-"""docs/authority.md, row by row: who flies after each trouble, on both firmwares' manners.
+"""docs/troubles.md, row by row: who flies after each trouble, on both firmwares' manners.
 
 Each trouble comes while the companion flies around somebody, having taken the vehicle from its mission.
 """

@@ -220,7 +220,7 @@ def test_a_log_of_an_autopilot_alone_tells_all_that_it_heard(tmp_path):
     # The page of the documentation counts what the tool counts.
     line = next(
         line
-        for line in (DATA.parents[1] / "docs" / "inspect.md").read_text().splitlines()
+        for line in (DATA.parents[1] / "docs" / "logs.md").read_text().splitlines()
         if "19 ICAO addresses" in line
     )
     faults = figures["aircraft"][0]["faults"]
