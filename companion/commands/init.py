@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from companion import config as configuration
-from companion.config import EXAMPLE_ID
+from companion.config import EXAMPLE_ID, Config, check_identity
 from companion.errors import ConfigError
 from companion.shipped import names, shipped
 
@@ -153,7 +153,7 @@ def run(arguments: argparse.Namespace) -> int:
     if path.exists() and not arguments.force:
         raise ConfigError(f"--out: {path}: exists already; choose another file, or replace it with --force")
     asks = sys.stdin.isatty() and sys.stdout.isatty()
-    text = written(chosen(arguments, _ask if asks else None), path)
+    text, config = written(chosen(arguments, _ask if asks else None), path)
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -161,6 +161,8 @@ def run(arguments: argparse.Namespace) -> int:
     print(f"wrote {path}; next: companion check --config {path}")
     if EXAMPLE_ID in text:
         print(f"identity.uas_id is an example: put the serial number of your aircraft into {path}")
+    for note in check_identity(config.identity, config.remote_id, config.region):
+        print(f"note: {note}")
     return 0
 
 
@@ -222,8 +224,8 @@ def _radio(text: str) -> tuple[str, str]:
     return kind, where
 
 
-def written(choices: Choices, path: Path) -> str:
-    """The text of a configuration that can be loaded.
+def written(choices: Choices, path: Path) -> tuple[str, Config]:
+    """The text of a configuration that can be loaded, and what it loads as.
 
     Raises:
         ConfigError: a choice is wrong; the message names its key.
@@ -233,10 +235,10 @@ def written(choices: Choices, path: Path) -> str:
         draft = Path(folder) / path.name
         draft.write_text(text, encoding="utf-8")
         try:
-            configuration.load(draft)
+            config = configuration.load(draft)
         except ConfigError as error:
             raise ConfigError(str(error).replace(f"{folder}/", "")) from error
-    return text
+    return text, config
 
 
 def _text(choices: Choices, path: Path) -> str:

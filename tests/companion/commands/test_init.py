@@ -42,6 +42,13 @@ def test_the_default_watches_an_ardupilot_without_a_radio(tmp_path, capsys):
     assert "identity.uas_id is an example" in out
 
 
+def test_what_is_no_serial_number_is_noted(tmp_path, capsys):
+    made(tmp_path, "--uas-id", "DRONE1")
+    assert "note: identity.uas_id: 'DRONE1'" in capsys.readouterr().out
+    made(tmp_path, "--uas-id", "1596B0000DMUCA11")
+    assert "note:" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(("firmware", "link"), list(itertools.product(("ardupilot", "px4"), LINKS)))
 def test_each_firmware_and_link_is_told_what_its_autopilot_needs(tmp_path, firmware, link):
     config = made(tmp_path, f"--{firmware}", "--link", link, "--uas-id", "1596B0000OWN0001")
