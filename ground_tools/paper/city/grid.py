@@ -39,14 +39,14 @@ class Method:
 
 PERFECT, NOBODY = "perfect", "none"
 METHODS: Final = {
-    "ble4": Method("BLE 4 at 10", {"transports": "ble4"}, (40, 56, 65, 78)),
-    "ble5": Method("BLE 5 at 10", {"transports": "ble5"}, (60, 90, 120, 150)),
-    "wifi": Method("Wi-Fi at 10", {"transports": "wifi"}, (120, 160, 220, 280)),
-    "fixed": Method("best fixed legal set", {"transports": "fixed"}, (120, 180, 240, 300)),
-    "rule": Method("rule", {"transports": "rule"}, (120, 180, 240, 300)),
-    "policy": Method("policy", {"transports": "policy"}, (150, 250, 320, 390)),
-    PERFECT: Method("perfect information", {"knows": "perfect"}, (40, 41, 60, 71), talks=False),
-    NOBODY: Method("nobody avoids", {"law": "none", "knows": "perfect"}, (20, 21, 21, 21), talks=False),
+    "ble4": Method("BLE 4 at 10", {"transports": "ble4"}, (51, 52, 75, 77)),
+    "ble5": Method("BLE 5 at 10", {"transports": "ble5"}, (51, 74, 93, 74)),
+    "wifi": Method("Wi-Fi at 10", {"transports": "wifi"}, (67, 118, 143, 108)),
+    "fixed": Method("best fixed legal set", {"transports": "fixed"}, (62, 121, 135, 134)),
+    "rule": Method("rule", {"transports": "rule"}, (64, 128, 138, 136)),
+    "policy": Method("policy", {"transports": "policy"}, (74, 152, 174, 152)),
+    PERFECT: Method("perfect information", {"knows": "perfect"}, (37, 43, 49, 68), talks=False),
+    NOBODY: Method("nobody avoids", {"law": "none", "knows": "perfect"}, (30, 27, 25, 26), talks=False),
 }
 """The methods. The three single transports disregard the law of a region: BLE 4 or BLE 5 alone is legal
 nowhere."""

@@ -55,7 +55,7 @@ MEASURES: Final = (
     Measure("old", "of it older than 3 s (%)", lambda r: r.old, share=True, scale=100.0, digits=1),
     Measure("unheard", "unheard aircraft within 500 m (%)", lambda r: r.unheard, share=True, scale=100.0,
             digits=1),
-    Measure("wifi_load", "own Wi-Fi load, without the foreign one", lambda r: r.wifi_load, logarithmic=True),
+    Measure("wifi_load", "Wi-Fi load of the city", lambda r: r.wifi_load, logarithmic=True),
 )  # fmt: skip
 """Everything that is shown, in the order of the columns."""
 

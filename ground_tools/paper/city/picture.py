@@ -75,6 +75,8 @@ def draw(figure: Any, cells: Mapping[Cell, Sequence[Row]]) -> None:
                 axes.set_yscale("log")
             for curve in curves(cells, load, measure):
                 handles[METHODS[curve.method].words] = _draw(axes, curve, measure)
+            if measure.logarithmic and place == len(loads) - 1:
+                _end_below(axes, [curve for one in loads for curve in curves(cells, one, measure)], measure)
             axes.set_xlabel("aircraft per km²")
             densities = sorted({cell.density for cell in cells})
             axes.set_xticks(densities, [f"{density:g}" for density in densities])
@@ -102,7 +104,15 @@ def _draw(axes: Any, curve: Curve, measure: Measure) -> Any:
             if high > 0.0:
                 axes.plot([place], [high], color=colour, marker="v", ms=8, mfc="none", ls="none")
             continue
-        if measure.logarithmic:  # a mean near 0 may have an interval down to 0, which this scale lacks
-            low = max(low, 0.02 * value)
+        if measure.logarithmic:  # an interval may go down to 0, which this scale lacks: see `_end_below`
+            low = max(low, 1e-9 * value)
         axes.plot([place, place], [low, high], color=colour, lw=1.4, alpha=0.8)
     return line
+
+
+def _end_below(axes: Any, drawn: Sequence[Curve], measure: Measure) -> None:
+    """Let a logarithmic scale end below the least value, whatever the intervals are."""
+    values = [value.value or value.high for curve in drawn for _, value in curve.points]
+    least = min((value for value in values if 0.0 < value < math.inf), default=None)
+    if least is not None:
+        axes.set_ylim(bottom=0.4 * measure.scale * least)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -15,7 +16,7 @@ import msgspec
 from rich.console import Console
 
 from ground_tools.city.cells import CHANNEL, POLICY, ROOTS, City, Row, fly
-from ground_tools.common.kept_lines import Kept
+from ground_tools.common.kept_lines import Kept, read_lines
 from ground_tools.common.progress import progress
 from ground_tools.common.workers import in_parallel
 from ground_tools.paper.city.grid import START_S, Cell, Grid, cost_s
@@ -27,6 +28,7 @@ DATA: Final = (CHANNEL, POLICY, "config/regions/us.toml", "config/regions/eu.tom
 """Data files on which runs depend, by their paths in the checkout."""
 PACKAGES: Final = ("numpy", "numba")
 COMMAND: Final = "ground-tools paper city --out results/city-paper"
+_THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _TOLD_S: Final = 60.0
 """Where no progress bar can be shown, a line tells of the progress this often."""
 
@@ -124,6 +126,10 @@ def fly_missing(file: Kept[Run], works: list[Work], jobs: int, words: Console, c
     # At once, and not after the first run: it is refused if the file's runs are of other software.
     file.add([])
     provenance.write(file.path, made_by_now(command))
+    # A policy's matrices are small: threads of NumPy that wait for each other took four times its CPU time.
+    # Workers heed this; where a single one flies in this process, NumPy has already read it.
+    for name in _THREADS:
+        os.environ.setdefault(name, "1")
     told = _teller(works, words)
     with progress("runs", len(works)) as advance:
         for work, row in in_parallel(_fly, works, jobs, words):
@@ -160,9 +166,8 @@ def _minutes(time_s: float) -> str:
 
 def sample(path: Path) -> list[str]:
     """Fly the shortest kept run of each method again. Returns what differs, in words."""
-    lines = path.read_text().splitlines()[1:]
     first: dict[tuple[str, str, str], Run] = {}
-    for run in (msgspec.json.decode(line, type=Run) for line in lines):
+    for run in read_lines(path, Run)[1]:
         key = (run.city.law, run.city.knows, run.city.transports)
         if key not in first or _size(run) < _size(first[key]):
             first[key] = run

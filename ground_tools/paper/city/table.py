@@ -56,6 +56,29 @@ def markdown(cells: Cells) -> str:
     return "\n".join(lines)
 
 
+def brief(cells: Cells) -> str:
+    """The losses, the distance from the timed point and the unheard of each method and density."""
+    densities = sorted({cell.density for cell in cells})
+    lines = []
+    for load in dict.fromkeys(cell.load for cell in cells):
+        air = f"foreign load {load:g}" if load else "no foreign load"
+        lines += [f"| {air} | " + " | ".join(f"{density:g} per km²" for density in densities) + " |"]
+        lines += ["|---|" + "---|" * len(densities)]
+        for method in dict.fromkeys(cell.method for cell in cells):
+            found = [cells.get(Cell(load, density, method)) for density in densities]
+            words = " | ".join("-" if rows is None else _brief(rows) for rows in found)
+            lines.append(f"| {METHODS[method].words} | {words} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _brief(rows: Sequence[Row]) -> str:
+    values = estimates({Cell(0.0, 0.0, ""): rows})[Cell(0.0, 0.0, "")]
+    deviation, unheard = values["deviation_m"], values["unheard"]
+    text = f"{_sums(rows)[1]} / {0.0 if deviation is None else deviation.value:.1f} m"
+    return text if unheard is None else f"{text} / {unheard.value:.0%}"
+
+
 def _sums(rows: Sequence[Row]) -> tuple[float, int]:
     return sum(row.flight_h for row in rows), sum(row.losses for row in rows)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Final, Literal
 
 from ground_tools.city.cells import Row
@@ -59,6 +60,8 @@ class Judged:
         """The ratio with its interval."""
         if self.times is None:
             return "no loss in either"
+        if math.isinf(self.times.value):
+            return f"at least {_number(self.times.low)} times"
         value, low, high = (_number(x) for x in (self.times.value, self.times.low, self.times.high))
         return f"{value} times, {low} to {high}"
 
@@ -96,7 +99,8 @@ class Verdict:
             if any(density > missed for density in kept):
                 parts.append("which does not grow with density: the order is not settled by these runs")
         if unknown := self.at("open"):
-            why = ", ".join(f"{density:g} ({self.judged[density].words})" for density in unknown)
+            groups = groupby(unknown, lambda density: self.judged[density].words)
+            why = ", ".join(f"{_list(list(densities))} ({words})" for words, densities in groups)
             parts.append(f"too few losses to tell at {why}")
         return f"{name}: {'; '.join(parts)}."
 
