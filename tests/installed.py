@@ -80,6 +80,7 @@ UNTRIED: Final = {
     r"--schedule": "a file that only a failed examination writes",
     r"results (verify --sample|record)": "a checkout, or the extra train",
     r"sitl-mocks (soak|swarm .*--faults|takeover .*(--trouble|--real|--only))": "many minutes",
+    r"paper city": "an hour of CPU time; a small one is among `MORE`",
     r"paper (dmuca|all)": "minutes; the parts of `paper all` are tried one by one",
 }
 """Patterns of commands that are not tried, and what each would need."""
@@ -90,6 +91,7 @@ MORE: Final = (
     "ground-tools paper system-delay --samples 4",
     "ground-tools paper uav-delay --samples 4",
     "ground-tools paper fixed-modes --samples 4",
+    "ground-tools paper city --densities 8 --aircraft 12 --minutes 0.5 --settle 10 --methods fixed perfect",
     "ground-tools picture RUN_FOLDER --out picture.png",
     "sitl-mocks demo --scenario incident.toml",
     "companion remote-id --help",

@@ -65,6 +65,27 @@ def write_runs(path: Path, city: City, rows: Sequence[Row], command: str) -> Non
     provenance.write(path, provenance.now(command, ROOTS, data, ("numpy", "numba")))
 
 
+def write_study(path: Path, cells: Sequence[tuple[City, str, float, Sequence[Row]]]) -> None:
+    """Write the runs of many cells as one table, a row each.
+
+    Args:
+        cells: of each the city, the name of the method, the foreign load, and its runs.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
+    runs = [(city, method, load, row) for city, method, load, rows in cells for row in rows]
+    columns: dict[str, Any] = {
+        "method": [method for _, method, _, _ in runs],
+        "load": [load for _, _, load, _ in runs],
+        "per_km2": [city.demand.per_km2 for city, _, _, _ in runs],
+        "side_m": [city.demand.north_m for city, _, _, _ in runs],
+    }
+    columns |= {name: [getattr(row, name) for _, _, _, row in runs] for name in Row.__struct_fields__}
+    columns["city"] = [msgspec.json.encode(city).decode() for city, _, _, _ in runs]
+    _write(path, columns, {})
+
+
 def write_flights(path: Path, result: Result) -> None:
     """Write the flights of a run, a row each. What is infinite or not a number is empty.
 

@@ -5,6 +5,6 @@ published figure: `report` gives the statements and numbers, and `draw` writes t
 the common type of the results: `Statement` for published statements that hold or not, `Comparison` for
 numbers next to published ones, `Numbers` for other tables. `study` evaluates the channel model for the
 figures of the fixed modes. `methods`, `measured` and `delays` provide the delays of the learned and the fixed
-methods. `closed_loop` is an experiment that goes beyond the paper. Start reading with `command.run` and
-`report`.
+methods. `closed_loop` and `city` are experiments that go beyond the paper. Start reading with `command.run`
+and `report`.
 """

@@ -21,6 +21,7 @@ from companion.shipped import how_to_install
 from ground_tools.channel import options
 from ground_tools.common.progress import progress
 from ground_tools.paper import page
+from ground_tools.paper.city import command as city
 from ground_tools.paper.closed_loop import command as closed_loop
 from ground_tools.paper.figures import (
     convergence,
@@ -137,29 +138,33 @@ _DRAWINGS: Final = ("framework", "radio-modes")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `ground-tools paper`."""
-    lines = [f"  {figure.name:13s} {figure.words}" for figure in FIGURES]
+    """Add the figures of `ground-tools paper`, each a subcommand."""
     parser.description = (
         "Compute the paper's figures with the channel model's equations and with simulated flights, and\n"
         "compare them with the paper's statements. A statement that does not hold is a result, not an\n"
-        "error: the exit code is 0.\n\n"
-        "figures:\n" + "\n".join(lines) + "\n\n"
-        f"{closed_loop.NAME} is an experiment beyond the paper: aircraft choose transports in flight,\n"
-        "packets are simulated, and avoidance uses the received messages. It has its own options and\n"
-        "takes hours, so that all does not include it. Finished flights are kept in its folder and not\n"
-        "repeated."
+        f"error: the exit code is 0. {closed_loop.NAME} and {city.NAME} are experiments beyond the paper,\n"
+        "with options of their own; they take hours, so that all does not include them, and keep what is\n"
+        "finished."
     )
     parser.epilog = (
         "examples: ground-tools paper fixed-modes --samples 10000; "
-        "ground-tools paper closed-loop --encounters 20 --methods wifi rule"
+        "ground-tools paper closed-loop --encounters 20 --methods wifi rule;\n"
+        "ground-tools paper city --densities 10 100 --methods policy perfect none"
     )
-    names = [figure.name for figure in FIGURES]
-    parser.add_argument(
-        "figure",
-        choices=[*names, "all", closed_loop.NAME],
-        metavar="FIGURE",
-        help=f"one of the figures above, all, or {closed_loop.NAME}",
-    )
+    figures = parser.add_subparsers(dest="figure", required=True, metavar="FIGURE")
+    for figure in FIGURES:
+        _add_common(figures.add_parser(figure.name, help=figure.words))
+    _add_common(figures.add_parser("all", help="all figures above, on one page"))
+    words = "transports chosen in flight, simulated packets, and avoidance by what is received"
+    loop = figures.add_parser(closed_loop.NAME, help=words)
+    _add_common(loop)
+    closed_loop.add_arguments(loop)
+    words = "losses, conflicts, ages and load of hundreds of aircraft against density"
+    city.add_arguments(figures.add_parser(city.NAME, help=words))
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    """Add the options that all figures have but those over density."""
     options.add_sampling(parser)
     parser.add_argument(
         "--out",
@@ -183,7 +188,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"--sweep and {closed_loop.NAME}: worker processes (default: one per core)",
     )
-    closed_loop.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -56,6 +56,12 @@ def _closed_loop(path: Path) -> list[str]:
     return samples.closed_loop_cell(path)
 
 
+def _city(path: Path) -> list[str]:
+    from ground_tools.paper.city import runs
+
+    return runs.sample(path)
+
+
 def _training(path: Path) -> list[str]:
     from ground_tools.results import training_samples
 
@@ -70,7 +76,7 @@ def _policy(path: Path) -> list[str]:
 
 def entries() -> list[Entry]:
     """All kept files, in the order of their names."""
-    found = [*_tables(), *_compared(), *_flown(), *_trained()]
+    found = [*_tables(), *_compared(), *_flown(), *_cities(), *_trained()]
     return sorted(found, key=lambda entry: entry.name)
 
 
@@ -127,6 +133,13 @@ def _flown() -> list[Entry]:
         for condition in CONDITIONS
         for method in METHODS
     ]
+
+
+def _cities() -> list[Entry]:
+    from ground_tools.city.cells import ROOTS
+    from ground_tools.paper.city.runs import COMMAND, DATA, PACKAGES
+
+    return [Entry("results/city-paper/runs.jsonl", COMMAND, ROOTS, _city, DATA, PACKAGES)]
 
 
 def _trained() -> list[Entry]:

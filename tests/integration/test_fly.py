@@ -176,7 +176,9 @@ def test_a_port_that_another_program_has(capsys):
 
 def test_a_scenario_that_is_not_there(capsys):
     assert cli.main(["fly", "udpout://127.0.0.1:9", "--scenario", "face_to_face"]) == 2
-    assert "--scenario: face_to_face: no such file; see config/scenarios for examples" in capsys.readouterr().err
+    assert (
+        "--scenario: face_to_face: no such file; see config/scenarios for examples" in capsys.readouterr().err
+    )
 
 
 def test_without_mavsdk(monkeypatch, capsys):

@@ -1,0 +1,156 @@
+"""The cities of the figure: every density, flown by every method, without and with foreign load."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from ground_tools.city.cells import City
+from ground_tools.city.traffic.demand import Demand
+from sitl_mocks.channel.link_budget import ranges_m
+
+DENSITIES: Final = (1.0, 3.0, 10.0, 30.0, 100.0)
+"""Aircraft in the air on a square kilometre."""
+LOADS: Final = (0.0, 0.6)
+"""Shares of time for which foreign transmissions fill the Wi-Fi channel, as in `paper closed-loop`."""
+AIRCRAFT: Final = 400
+LEAST_SIDE_M, MOST_SIDE_M = 2000.0, 20_000.0
+START_S: Final = 15.0
+"""CPU time in which a worker process starts and reads its compiled functions, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """What aircraft know of each other, and by which transports."""
+
+    words: str
+    """Display name."""
+    settings: dict[str, Any]
+    """Fields of `City`."""
+    cost_us: tuple[float, float, float, float]
+    """CPU time of an aircraft and simulated second, measured at 1, 10, 30 and 100 aircraft per km²."""
+    talks: bool = True
+    """Whether it uses radio, so that foreign load makes a difference."""
+
+
+PERFECT, NOBODY = "perfect", "none"
+METHODS: Final = {
+    "ble4": Method("BLE 4 at 10", {"transports": "ble4"}, (51, 52, 75, 77)),
+    "ble5": Method("BLE 5 at 10", {"transports": "ble5"}, (51, 74, 93, 74)),
+    "wifi": Method("Wi-Fi at 10", {"transports": "wifi"}, (67, 118, 143, 108)),
+    "fixed": Method("best fixed legal set", {"transports": "fixed"}, (62, 121, 135, 134)),
+    "rule": Method("rule", {"transports": "rule"}, (64, 128, 138, 136)),
+    "policy": Method("policy", {"transports": "policy"}, (74, 152, 174, 152)),
+    PERFECT: Method("perfect information", {"knows": "perfect"}, (37, 43, 49, 68), talks=False),
+    NOBODY: Method("nobody avoids", {"law": "none", "knows": "perfect"}, (30, 27, 25, 26), talks=False),
+}
+"""The methods. The three single transports disregard the law of a region: BLE 4 or BLE 5 alone is legal
+nowhere."""
+_COSTS_AT: Final = (1.0, 10.0, 30.0, 100.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One point of one curve: runs that differ in their seeds."""
+
+    load: float
+    density: float
+    method: str
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Which cells are flown, and how."""
+
+    densities: tuple[float, ...] = DENSITIES
+    methods: tuple[str, ...] = tuple(METHODS)
+    loads: tuple[float, ...] = LOADS
+    seeds: range = range(1, 4)
+    aircraft: int = AIRCRAFT
+    """Mean number in the air, from which the area follows."""
+    pattern: str = "mixed"
+    region: str = "us"
+    """Its law decides which sets of transports are legal."""
+    duration_s: float = 300.0
+    settle_s: float = 60.0
+
+    def cells(self) -> Iterator[Cell]:
+        """All cells. A method without radio has one for each load, and the same runs in each."""
+        for load in self.loads:
+            for density in self.densities:
+                for method in self.methods:
+                    yield Cell(load, density, method)
+
+    @property
+    def options(self) -> str:
+        """The options of the command that ask for this grid, without those that have their defaults."""
+        usual = Grid()
+        given = {
+            "--densities": _words(self.densities, usual.densities),
+            "--methods": _words(self.methods, usual.methods),
+            "--loads": _words(self.loads, usual.loads),
+            "--seeds": _words((f"{self.seeds[0]}-{self.seeds[-1]}",), ("1-3",)),
+            "--aircraft": _words((self.aircraft,), (usual.aircraft,)),
+            "--pattern": _words((self.pattern,), (usual.pattern,)),
+            "--region": _words((self.region,), (usual.region,)),
+            "--minutes": _words((self.duration_s / 60.0,), (usual.duration_s / 60.0,)),
+            "--settle": _words((self.settle_s,), (usual.settle_s,)),
+        }
+        return "".join(f" {option} {words}" for option, words in given.items() if words)
+
+    def side_m(self, density: float) -> float:
+        """Side of the square that is flown over."""
+        side = 1000.0 * math.sqrt(self.aircraft / density)
+        return min(max(round(side, -1), LEAST_SIDE_M), MOST_SIDE_M)
+
+    def city(self, cell: Cell) -> City:
+        """What is flown for a cell."""
+        side, method = self.side_m(cell.density), METHODS[cell.method]
+        demand: dict[str, Any] = {"pattern": self.pattern, "per_km2": cell.density}
+        flown: dict[str, Any] = dict(method.settings)
+        if method.talks:
+            flown |= {"load": cell.load, "region": self.region}
+        return City(
+            demand=Demand(**demand, north_m=side, east_m=side),
+            duration_s=self.duration_s,
+            settle_s=self.settle_s,
+            **flown,
+        )
+
+
+def _words(values: tuple[float | str, ...], usual: tuple[float | str, ...]) -> str:
+    """The values of an option; empty if they are the usual ones."""
+    if values == usual:
+        return ""
+    return " ".join(value if isinstance(value, str) else f"{value:g}" for value in values)
+
+
+def cost_s(city: City, method: str) -> float:
+    """CPU time that one run takes about, in seconds, by what was measured."""
+    at = np.log(np.clip(city.demand.per_km2, _COSTS_AT[0], _COSTS_AT[-1]))
+    each = float(np.interp(at, np.log(_COSTS_AT), METHODS[method].cost_us))
+    return 1e-6 * each * city.demand.aircraft * city.duration_s
+
+
+def inside(range_m: float, side_m: float) -> float:
+    """Mean share of a disc around an aircraft that lies inside of the square that the aircraft is anywhere
+    in: the share of its neighbours in range that a boundless city of this density would have and this one
+    has."""
+    radii = range_m * np.sqrt((np.arange(200) + 0.5) / 200.0)
+    angles = 2.0 * math.pi * (np.arange(200) + 0.5) / 200.0
+    north = np.abs(np.outer(radii, np.cos(angles)))
+    east = np.abs(np.outer(radii, np.sin(angles)))
+    shares = np.maximum(1.0 - north / side_m, 0.0) * np.maximum(1.0 - east / side_m, 0.0)
+    return float(shares.mean())
+
+
+def ranges_of(city: City) -> tuple[float, float, float]:
+    """How far BLE 4, BLE 5 and Wi-Fi reach, m."""
+    from ground_tools.city.cells import channel_of
+
+    ble4, ble5, wifi = ranges_m(channel_of(city)).tolist()
+    return ble4, ble5, wifi

@@ -1,0 +1,185 @@
+"""The runs of the figure: flown in parallel, and kept in one file, each with its city."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+from rich.console import Console
+
+from ground_tools.city.cells import CHANNEL, POLICY, ROOTS, City, Row, fly
+from ground_tools.common import provenance
+from ground_tools.common.kept_lines import Kept, read_lines
+from ground_tools.common.progress import progress
+from ground_tools.common.provenance import Provenance
+from ground_tools.common.workers import in_parallel
+from ground_tools.paper.city.grid import START_S, Cell, Grid, cost_s
+
+FILE: Final = "runs.jsonl"
+DATA: Final = (CHANNEL, POLICY, "config/regions/us.toml", "config/regions/eu.toml")
+"""Data files on which runs depend, by their paths in the checkout."""
+PACKAGES: Final = ("numpy", "numba")
+COMMAND: Final = "ground-tools paper city --out results/city-paper"
+_THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_TOLD_S: Final = 60.0
+"""Where no progress bar can be shown, a line tells of the progress this often."""
+
+
+class Run(msgspec.Struct, frozen=True):
+    """One run. A setting that a later version adds to `City` has its default value in older runs."""
+
+    city: City
+    row: Row
+
+
+Rows = Mapping[Cell, list[Row]]
+"""The runs of each cell, by seed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """A run that is missing."""
+
+    method: str
+    city: City
+    seed: int
+
+    @property
+    def cost_s(self) -> float:
+        """CPU time that it takes about."""
+        return cost_s(self.city, self.method)
+
+
+def number_of(city: City, seed: int) -> int:
+    """Number of a run in its file."""
+    content = msgspec.json.encode([city, seed])
+    return int(hashlib.sha256(content).hexdigest()[:15], 16)
+
+
+def made_by_now(command: str = COMMAND) -> Provenance:
+    """The record of runs that today's software flies."""
+    return provenance.now(command, ROOTS, DATA, PACKAGES)
+
+
+def kept(folder: Path) -> Kept[Run]:
+    """The runs of a folder, which exists. Those of other software are read, but never mixed with new ones.
+
+    Raises:
+        ConfigError: the file cannot be read, or is of another study.
+    """
+    now = made_by_now()
+    software = hashlib.sha256(repr((now.sources, now.data)).encode()).hexdigest()[:12]
+    return Kept(
+        folder / FILE, {"study": "city"}, Run, lambda run: number_of(run.city, run.row.seed), software
+    )
+
+
+def missing(grid: Grid, runs: Mapping[int, Run]) -> list[Work]:
+    """The runs that a grid lacks, the costly ones first, so that no worker idles at the end."""
+    found: dict[int, Work] = {}
+    for cell in grid.cells():
+        city = grid.city(cell)
+        for seed in grid.seeds:
+            number = number_of(city, seed)
+            if number not in runs:
+                found[number] = Work(cell.method, city, seed)
+    return sorted(found.values(), key=lambda work: -work.cost_s)
+
+
+def rows_of(grid: Grid, runs: Mapping[int, Run]) -> dict[Cell, list[Row]]:
+    """The runs of each cell of a grid, in the order of their seeds. Cells without any are left out."""
+    found = {}
+    for cell in grid.cells():
+        city = grid.city(cell)
+        numbers = [number_of(city, seed) for seed in grid.seeds]
+        rows = [runs[number].row for number in numbers if number in runs]
+        if rows:
+            found[cell] = rows
+    return found
+
+
+def estimate(works: list[Work], jobs: int) -> str:
+    """What the missing runs cost about, in words."""
+    cpu_s = sum(work.cost_s for work in works) + START_S * min(jobs, len(works))
+    return (
+        f"{len(works)} runs are to be flown: about {_minutes(cpu_s)} of CPU time, {_minutes(cpu_s / jobs)} "
+        f"with {jobs} at a time. Finished runs are kept."
+    )
+
+
+def fly_missing(file: Kept[Run], works: list[Work], jobs: int, words: Console, command: str) -> None:
+    """Fly runs, and keep each as soon as it is finished, with the record of what made them beside the file.
+
+    Raises:
+        ConfigError: a file cannot be written, or its runs are of other software.
+    """
+    if not works:
+        return
+    # At once, and not after the first run: it is refused if the file's runs are of other software.
+    file.add([])
+    provenance.write(file.path, made_by_now(command))
+    # A policy's matrices are small: threads of NumPy that wait for each other took four times its CPU time.
+    # Workers heed this; where a single one flies in this process, NumPy has already read it.
+    for name in _THREADS:
+        os.environ.setdefault(name, "1")
+    told = _teller(works, words)
+    with progress("runs", len(works)) as advance:
+        for work, row in in_parallel(_fly, works, jobs, words):
+            file.add([Run(work.city, row)])
+            told(work)
+            advance()
+
+
+def _fly(work: Work) -> Row:
+    return fly(work.city, work.seed)[0]
+
+
+def _teller(works: list[Work], words: Console) -> Callable[[Work], None]:
+    """Tells of the progress in lines, for a log file; the rest is estimated from the cost of what is done."""
+    whole_s, began_s = sum(work.cost_s for work in works), time.monotonic()
+    state: dict[str, Any] = {"done": 0, "cost": 0.0, "told": began_s}
+
+    def tell(work: Work) -> None:
+        state["done"] += 1
+        state["cost"] += work.cost_s
+        now_s = time.monotonic()
+        if sys.stderr.isatty() or now_s - state["told"] < _TOLD_S:
+            return
+        state["told"] = now_s
+        left_s = (now_s - began_s) * (whole_s - state["cost"]) / state["cost"]
+        words.print(f"{state['done']} of {len(works)} runs, some {_minutes(left_s)} left", highlight=False)
+
+    return tell
+
+
+def _minutes(time_s: float) -> str:
+    return f"{time_s / 60.0:.0f} min" if time_s < 7200.0 else f"{time_s / 3600.0:.1f} h"
+
+
+def sample(path: Path) -> list[str]:
+    """Fly the shortest kept run of each method again. Returns what differs, in words."""
+    first: dict[tuple[str, str, str], Run] = {}
+    for run in read_lines(path, Run)[1]:
+        key = (run.city.law, run.city.knows, run.city.transports)
+        if key not in first or _size(run) < _size(first[key]):
+            first[key] = run
+    found = []
+    for run in first.values():
+        again, _ = fly(run.city, run.row.seed)
+        if again != run.row:
+            kept, now = (json.loads(msgspec.json.encode(row)) for row in (run.row, again))
+            names = ", ".join(name for name in kept if kept[name] != now[name])
+            found.append(f"{run.city.name}, seed {run.row.seed}: other values of {names}")
+    return found
+
+
+def _size(run: Run) -> tuple[float, float]:
+    return run.city.demand.aircraft * run.city.duration_s, run.city.demand.per_km2
