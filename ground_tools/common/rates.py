@@ -2,25 +2,22 @@
 
 A bootstrap over three runs has ten different resamples, so that its interval is too narrow, and it has no
 width at all where no run saw an event. What is here has its width from the number of events (Poisson) or
-from Student's distribution, and needs no optional package.
+from Student's distribution.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Final
 
 import numpy as np
 
-from ground_tools.common.intervals import Z
+from companion.errors import ConfigError
+from companion.shipped import how_to_install
 
-_STUDENT: Final = (
-    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
-    2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
-)  # fmt: skip
-"""Two-sided 95 % quantiles of Student's distribution with 1 to 30 degrees of freedom."""
 _TAIL: Final = 0.025
 
 
@@ -101,53 +98,24 @@ def mean(values: Sequence[float]) -> Estimate | None:
 
 
 def student(freedom: int) -> float:
-    """Two-sided 95 % quantile of Student's distribution; above 30 degrees of freedom by the expansion of
-    Cornish and Fisher, within 0.001."""
-    if freedom <= len(_STUDENT):
-        return _STUDENT[freedom - 1]
-    first, second = (Z**3 + Z) / 4.0, (5.0 * Z**5 + 16.0 * Z**3 + 3.0 * Z) / 96.0
-    return Z + first / freedom + second / freedom**2
+    """Two-sided 95 % quantile of Student's distribution.
+
+    Raises:
+        ConfigError: scipy is not installed.
+    """
+    return float(_special().stdtrit(freedom, 1.0 - _TAIL))
 
 
 def _garwood(count: float) -> tuple[float, float]:
     """Interval of the mean of a Poisson distribution from one count, which may be no whole number."""
-    low = 0.0 if count == 0.0 else _root(lambda x: _gamma_share(count, x) - _TAIL, count)
-    return low, _root(lambda x: _gamma_share(count + 1.0, x) - (1.0 - _TAIL), count + 1.0)
+    inverse = _special().gammaincinv
+    low = 0.0 if count == 0.0 else float(inverse(count, _TAIL))
+    return low, float(inverse(count + 1.0, 1.0 - _TAIL))
 
 
-def _root(rising: Callable[[float], float], near: float) -> float:
-    low, high = 0.0, near + 1.0
-    while rising(high) < 0.0:
-        high *= 2.0
-    for _ in range(80):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if rising(middle) < 0.0 else (low, middle)
-    return 0.5 * (low + high)
-
-
-def _gamma_share(a: float, x: float) -> float:
-    """Distribution function at x of the gamma distribution with shape a and scale 1: its series below the
-    mean, above it the continued fraction of its complement (Press et al., Numerical Recipes, 6.2)."""
-    if x <= 0.0:
-        return 0.0
-    front = math.exp(a * math.log(x) - x - math.lgamma(a))
-    if x < a + 1.0:
-        term = total = 1.0 / a
-        n = a
-        while term > 1e-15 * total:
-            n += 1.0
-            term *= x / n
-            total += term
-        return front * total
-    b = x + 1.0 - a
-    c, d = 1e300, 1.0 / b
-    fraction, step, i = d, 0.0, 0
-    while abs(step - 1.0) > 1e-15 and i < 10_000:
-        i += 1
-        factor = -i * (i - a)
-        b += 2.0
-        d = 1.0 / (factor * d + b)
-        c = b + factor / c
-        step = c * d
-        fraction *= step
-    return 1.0 - front * fraction
+def _special() -> ModuleType:
+    try:
+        from scipy import special
+    except ImportError as error:
+        raise ConfigError(how_to_install("scipy", "inspect")) from error
+    return special  # type: ignore[no-any-return]

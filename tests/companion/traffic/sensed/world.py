@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -93,13 +94,13 @@ class World:
             yaw_rad=self.yaw_rad,
         )
 
-    def scan(self, axes: str = "body", component: int = 196) -> ObstacleScan:
+    def scan(self, axes: Literal["body", "nose", "north"] = "body", component: int = 196) -> ObstacleScan:
         count = round(360.0 / self.step_deg)
         distances = [self._sees(i, count) for i in range(count)]
         return ObstacleScan(
             component=component, axes=axes, first_deg=0.0, step_deg=self.step_deg,
             distances_cm=tuple(distances), max_cm=round(100 * self.range_m),
-        )  # type: ignore[arg-type]  # fmt: skip
+        )  # fmt: skip
 
     def _sees(self, number: int, count: int) -> int:
         """The nearest thing in a sector, of five rays."""
@@ -173,8 +174,14 @@ def off(other: Neighbour, north: float, east: float) -> float:
     return math.hypot(n - north, e - east)
 
 
-def point(n: float, e: float, d: float, axes: str = "offset", number: int | None = None) -> ObstaclePoint:
-    return ObstaclePoint(component=196, axes=axes, position_m=(n, e, d), number=number)  # type: ignore[arg-type]
+def point(
+    n: float,
+    e: float,
+    d: float,
+    axes: Literal["body", "offset", "local"] = "offset",
+    number: int | None = None,
+) -> ObstaclePoint:
+    return ObstaclePoint(component=196, axes=axes, position_m=(n, e, d), number=number)
 
 
 def aircraft(world: World, n: float, e: float, d: float, velocity=(0.0, 0.0, 0.0), **more) -> SensedAircraft:
