@@ -284,6 +284,29 @@ def test_a_search_is_reproducible_and_finds_no_less_than_it_flew():
     assert fly(cell, 2, first.attack) == first.row
 
 
+def test_a_search_moves_towards_the_harm():
+    """In a world where the separation is the distance of the parameters from those of one attack."""
+    pytest.importorskip("cma")
+    cell, row = Cell(kind="liar", intruder="blind"), fly(Cell(kind="liar"), 5)
+    parameters = KINDS["liar"].parameters
+
+    def separation_m(attack):
+        """Distance from the attack at 0.7 of every range, in hundredths of the range."""
+        parts = ((attack.values[p.name] - p.low) / (p.high - p.low) - 0.7 for p in parameters)
+        return 100.0 * math.hypot(*parts)
+
+    work = search.worst(cell, 2, "separation", 400)
+    flights = next(work)
+    try:
+        while True:
+            flown = [separation_m(attack) for _, _, attack in flights]
+            flights = work.send([msgspec.structs.replace(row, separation_m=m) for m in flown])
+    except StopIteration as end:
+        found = end.value
+    assert found.evaluations >= 400
+    assert found.row.separation_m == separation_m(found.attack) < 1.0
+
+
 def test_an_interrupted_search_goes_on_where_it_was(tmp_path, capsys, monkeypatch):
     pytest.importorskip("cma")
     row, flown = fly(Cell(kind="liar"), 5), []
