@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from ground_tools.atmc.env.search import search
     from ground_tools.atmc.env.world import World, WorldSettings, draw
     from ground_tools.atmc.learners.algorithms import ALGORITHMS, Algorithm
-    from ground_tools.atmc.learners.flat import freeze_layers
     from ground_tools.atmc.learners.learner import Learner
+    from ground_tools.atmc.learners.stack import freeze_layers
     from ground_tools.atmc.learners.training import train
 
 __all__ = [
@@ -68,7 +68,7 @@ _MODULES = {
     "env.search": ("search",),
     "env.world": ("World", "WorldSettings", "draw"),
     "learners.algorithms": ("ALGORITHMS", "Algorithm"),
-    "learners.flat": ("freeze_layers",),
+    "learners.stack": ("freeze_layers",),
     "learners.learner": ("Learner",),
     "learners.training": ("train",),
 }

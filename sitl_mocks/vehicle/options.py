@@ -12,7 +12,7 @@ from companion.events import FenceArea, Firmware, MissionItem
 from companion.geofence import check_areas
 from companion.geometry import LocalFrame, Vec3
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, Manners, VehicleMode, with_quirks
-from sitl_mocks.vehicle.motion.dynamics import Response
+from sitl_mocks.vehicle.firmware.response import Response
 from sitl_mocks.vehicle.sensing import Obstacle, SensorOptions
 from sitl_mocks.vehicle.traffic import CrewedFlight
 

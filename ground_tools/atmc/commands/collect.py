@@ -27,7 +27,7 @@ from ground_tools.common.progress import progress
 
 if TYPE_CHECKING:
     from ground_tools.atmc.env.paper_task import Measured
-    from ground_tools.atmc.learners.flat import Stack
+    from ground_tools.atmc.learners.stack import Stack
     from ground_tools.atmc.learners.training import Job
 
 _OUT = Path(CONVERGENCE.name) if CHECKOUT is None else CONVERGENCE
@@ -135,7 +135,7 @@ def _read(folder: Path) -> _Trained:
         raise ConfigError(f"{folder}: this is not the folder of a training run") from error
     if algorithm not in NAMES:
         raise ConfigError(f"{folder}: this is a run of {algorithm}; allowed: runs of {', '.join(NAMES)}")
-    from ground_tools.atmc.learners.flat import thawed
+    from ground_tools.atmc.learners.stack import thawed
     from ground_tools.atmc.learners.training import resumed_job
 
     job = resumed_job(folder, "cpu", None)
@@ -160,7 +160,7 @@ def _last(job: Job) -> Stack:
     import torch
 
     from ground_tools.atmc.learners.algorithms import ALGORITHMS
-    from ground_tools.atmc.learners.flat import thawed
+    from ground_tools.atmc.learners.stack import thawed
 
     learner = ALGORITHMS[job.algorithm].parts().make(job.settings, job.seed, torch.device("cpu"))
     path = job.folder / "checkpoint.pt"

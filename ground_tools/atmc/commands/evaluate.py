@@ -32,13 +32,14 @@ from ground_tools.atmc.commands.places import Places, Square
 from ground_tools.atmc.env.channel import TorchChannel
 from ground_tools.atmc.env.deciders import Decider, Fixed, Rule, settle
 from ground_tools.atmc.env.environment import Env, EnvSettings, Observation
+from ground_tools.atmc.env.flat_observation import flat
 from ground_tools.atmc.env.objective import Objective, PaperObjective, awareness_objective, costs
 from ground_tools.atmc.env.plugged import Plugged
 from ground_tools.atmc.env.search import search
 from ground_tools.atmc.env.tasks import REGIONS, ObjectiveName, RegionName
 from ground_tools.atmc.env.world import SIDES_M, WorldSettings
-from ground_tools.atmc.learners.flat import flat, thawed
 from ground_tools.atmc.learners.set_network import SetNet
+from ground_tools.atmc.learners.stack import thawed
 from sitl_mocks.channel.parameters import ChannelParameters
 
 ROUNDS, COUNTED, PARTS = 6, 2, 4

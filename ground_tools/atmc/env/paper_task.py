@@ -20,9 +20,9 @@ from torch import Tensor
 from companion.atmc.actions import PAPER_ACTIONS
 from ground_tools.atmc.env.channel import TorchChannel
 from ground_tools.atmc.env.environment import Env, EnvSettings, paper_reward
+from ground_tools.atmc.env.flat_observation import flat, inputs
 from ground_tools.atmc.env.objective import PaperObjective
 from ground_tools.atmc.env.world import SIDES_M, WorldSettings
-from ground_tools.atmc.learners.flat import flat, inputs
 from sitl_mocks.channel.parameters import ChannelParameters
 
 HIGH_M, LOW_M = SIDES_M[:3], SIDES_M[3:]

@@ -17,8 +17,8 @@ from companion.arrays import Float32s
 from companion.atmc.actions import PAPER_ACTIONS, Action
 from ground_tools.atmc.env.channel import TorchChannel
 from ground_tools.atmc.env.environment import Env, EnvSettings, paper_reward
+from ground_tools.atmc.env.flat_observation import flat, inputs
 from ground_tools.atmc.env.objective import Objective, PaperObjective
-from ground_tools.atmc.learners.flat import flat, inputs
 from sitl_mocks.channel.parameters import ChannelParameters
 
 Infos = dict[str, dict[str, float]]

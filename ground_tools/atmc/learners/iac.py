@@ -15,8 +15,8 @@ from msgspec import Meta
 from torch import Tensor
 
 from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings
-from ground_tools.atmc.learners.flat import Stack, clipped
 from ground_tools.atmc.learners.paper_learner import PaperLearner
+from ground_tools.atmc.learners.stack import Stack, clipped
 
 
 class IacSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -31,9 +31,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings, Weight
-from ground_tools.atmc.learners.flat import Stack, clipped, soft_update
 from ground_tools.atmc.learners.paper_learner import PaperLearner
 from ground_tools.atmc.learners.replay_buffer import Batch, Replay
+from ground_tools.atmc.learners.stack import Stack, clipped, soft_update
 
 Rate = Annotated[float, Meta(gt=0)]
 _LEAST_DELAY_S: Final = 0.02

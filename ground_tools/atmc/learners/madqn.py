@@ -18,9 +18,9 @@ from msgspec import Meta
 from torch import Tensor
 
 from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings
-from ground_tools.atmc.learners.flat import Stack, soft_update
 from ground_tools.atmc.learners.paper_learner import PaperLearner
 from ground_tools.atmc.learners.replay_buffer import Replay
+from ground_tools.atmc.learners.stack import Stack, soft_update
 
 
 class MadqnSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from ground_tools.atmc.env.paper_task import PaperTask
-from ground_tools.atmc.learners.flat import Stack, frozen
 from ground_tools.atmc.learners.replay_buffer import Replay
+from ground_tools.atmc.learners.stack import Stack, frozen
 
 
 class PaperLearner(ABC):

@@ -11,39 +11,13 @@ times per simulated second.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from companion.geometry import Vec3
+from sitl_mocks.vehicle.firmware.response import FADED_OVER_MPS, Response
 
 STEP_S = 0.02
 _GRAVITY = 9.81
 _FALL_SPEED_MPS = 20.0
-_FADED_OVER_MPS = 3.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Response:
-    """Parameters of how a vehicle follows a commanded velocity (m/s, m/s^2, s)."""
-
-    acceleration_mps2: float
-    """Horizontal acceleration limit when flying setpoints."""
-    vertical_acceleration_mps2: float
-    lag_s: float
-    vertical_lag_s: float
-    auto_acceleration_mps2: float
-    """Horizontal acceleration limit in the firmware's own modes (mission, return, take-off)."""
-    auto_brake_mps2: float
-    auto_jerk_mps3: float = math.inf
-    """Jerk limit while speeding up in the firmware's own modes."""
-    gain: float = 1.0
-    """Velocity reached divided by velocity commanded."""
-    slow_share: float = 0.0
-    """Share of the horizontal velocity that builds up and decays slowly, with time constant `slow_s`."""
-    slow_s: float = 1.0
-    brake_fades_mps: float = math.inf
-    """Speed above which braking becomes weaker."""
-    brake_faded_mps2: float = 0.0
-    """Deceleration that remains at `brake_fades_mps` + _FADED_OVER_MPS and above."""
 
 
 class Body:
@@ -142,7 +116,7 @@ class Body:
         limit = response.acceleration_mps2
         speed = math.hypot(self.ramp_n, self.ramp_e)
         if speed > response.brake_fades_mps and command_mps < speed:
-            fade = min((speed - response.brake_fades_mps) / _FADED_OVER_MPS, 1.0)
+            fade = min((speed - response.brake_fades_mps) / FADED_OVER_MPS, 1.0)
             limit += (response.brake_faded_mps2 - limit) * fade
         return limit * STEP_S
 

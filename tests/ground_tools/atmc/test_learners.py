@@ -12,12 +12,13 @@ from torch import nn
 
 from companion.atmc import policy
 from ground_tools.atmc.env.environment import Env, EnvSettings
+from ground_tools.atmc.env.flat_observation import flat
 from ground_tools.atmc.env.paper_task import PaperTask, TaskSettings, measure
 from ground_tools.atmc.learners.algorithms import ALGORITHMS
-from ground_tools.atmc.learners.flat import Stack, clipped, flat, frozen, soft_update, thawed
 from ground_tools.atmc.learners.iac import discounted
 from ground_tools.atmc.learners.madqn import Madqn, MadqnSettings, exploration_rate, td_target
 from ground_tools.atmc.learners.replay_buffer import Replay
+from ground_tools.atmc.learners.stack import Stack, clipped, frozen, soft_update, thawed
 
 CPU = torch.device("cpu")
 TASK = TaskSettings(uavs=4, steps=10, validation_environments=2, validation_steps=2)

@@ -1,7 +1,6 @@
-"""The paper's observation as one flat row of numbers, and the networks that take it.
+"""The networks of the paper's learners, which take a flat observation, and their policy files.
 
-There is either one network per aircraft or one for all. Neighbours are ordered by distance, nearest first;
-each has its distance, protocol, rate, and a 1. Zeros follow for the aircraft that are not heard.
+There is either one network per aircraft or one for all.
 `companion.atmc.networks.FlatNetwork` computes the same function aboard in NumPy.
 """
 
@@ -16,34 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from companion.arrays import Float32s, Floats
+from companion.arrays import Float32s
 from companion.atmc import policy, policy_file
 from companion.atmc.actions import PAPER_ACTIONS, Action
-from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
-from ground_tools.atmc.env.environment import Observation
-
-COLUMNS = ("log_distance", "ble4", "ble5", "wifi", "ble4_rate", "ble5_rate", "wifi_rate")
-"""Columns of each neighbour; one more column follows, which is 1 if the neighbour is heard."""
-OWN = ("ble4", "ble5", "wifi", "ble4_rate", "ble5_rate", "wifi_rate")
-_COLUMNS = [NEIGHBOUR_COLUMNS.index(name) for name in COLUMNS]
-_OWN = [OWN_COLUMNS.index(name) for name in OWN]
-
-
-def inputs(aircraft: int) -> int:
-    """Length of a row for a fleet of this many aircraft."""
-    return len(OWN) + (aircraft - 1) * (len(COLUMNS) + 1)
-
-
-def flat(observation: Observation) -> Tensor:
-    """The observation of each aircraft as one row, (E, N, inputs(N))."""
-    rows, heard = observation.rows, observation.heard > 0
-    environments, aircraft, _ = heard.shape
-    nearest = torch.where(heard, rows[..., 0], math.inf).argsort(-1)[..., : aircraft - 1]
-    there = heard.gather(-1, nearest)[..., None].to(rows.dtype)
-    wanted = rows[..., _COLUMNS]
-    chosen = wanted.gather(2, nearest[..., None].expand(*nearest.shape, len(COLUMNS)))
-    neighbours = torch.cat([chosen * there, there], -1).reshape(environments, aircraft, -1)
-    return torch.cat([observation.own[..., _OWN], neighbours], -1)
+from companion.atmc.observation import OWN_COLUMNS
+from ground_tools.atmc.env.flat_observation import FLAT_NEIGHBOUR_COLUMNS, FLAT_OWN_COLUMNS, whole_rows
 
 
 class Stack(nn.Module):
@@ -122,7 +98,7 @@ def frozen(
     for index, (weight, bias) in enumerate(zip(stack.weights, stack.biases, strict=True)):
         tensors[f"layer{index}.weight"] = _array(weight.transpose(1, 2))
         tensors[f"layer{index}.bias"] = _array(bias[:, 0])
-    neighbours = (examples.shape[-1] - len(OWN)) // (len(COLUMNS) + 1)
+    neighbours = (examples.shape[-1] - len(FLAT_OWN_COLUMNS)) // (len(FLAT_NEIGHBOUR_COLUMNS) + 1)
     metadata = policy.Metadata(
         kind="flat",
         objective="paper",
@@ -130,21 +106,24 @@ def frozen(
         name=name,
         neighbours=neighbours,
         agents=stack.networks,
-        neighbour_columns=COLUMNS,
-        own_columns=OWN,
+        neighbour_columns=FLAT_NEIGHBOUR_COLUMNS,
+        own_columns=FLAT_OWN_COLUMNS,
         actions=tuple(actions),
         bounds=policy.Bounds(
-            neighbour_low=(0.0,) * len(COLUMNS),
-            neighbour_high=(math.log10(math.hypot(1e4, 1e4)) / 4.0, *(1.0,) * (len(COLUMNS) - 1)),
-            own_low=(0.0,) * len(OWN),
-            own_high=(1.0,) * len(OWN),
+            neighbour_low=(0.0,) * len(FLAT_NEIGHBOUR_COLUMNS),
+            neighbour_high=(
+                math.log10(math.hypot(1e4, 1e4)) / 4.0,
+                *(1.0,) * (len(FLAT_NEIGHBOUR_COLUMNS) - 1),
+            ),
+            own_low=(0.0,) * len(FLAT_OWN_COLUMNS),
+            own_high=(1.0,) * len(FLAT_OWN_COLUMNS),
         ),
         results=dict(results),
         golden=(policy.Golden(own=(0.0,) * len(OWN_COLUMNS), rows=(), q=(0.0,) * len(actions)),),
     )
     unchecked = policy.Policy(metadata, tensors, name)
     golden = tuple(
-        policy.golden_of(unchecked, *_whole_rows(row), agent=index % stack.networks)
+        policy.golden_of(unchecked, *whole_rows(row), agent=index % stack.networks)
         for index, row in enumerate(_array(examples))
     )
     metadata = msgspec.structs.replace(metadata, golden=golden)
@@ -202,17 +181,6 @@ def thawed(data: bytes, name: str) -> Stack:
             stack.weights[index].copy_(torch.from_numpy(weight).transpose(1, 2))
             stack.biases[index].copy_(torch.from_numpy(bias)[:, None])
     return stack
-
-
-def _whole_rows(row: Float32s) -> tuple[Floats, Floats]:
-    """Convert a flat row back to an observation with all columns of the schema."""
-    own = np.zeros(len(OWN_COLUMNS))
-    own[_OWN] = row[: len(OWN)]
-    table = row[len(OWN) :].reshape(-1, len(COLUMNS) + 1)
-    table = table[table[:, -1] > 0]
-    rows = np.zeros((len(table), len(NEIGHBOUR_COLUMNS)))
-    rows[:, _COLUMNS] = table[:, :-1]
-    return own, rows
 
 
 def _array(tensor: Tensor) -> Float32s:
