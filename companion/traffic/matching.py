@@ -74,7 +74,7 @@ def match(
         if several:
             track.beside_s = now_s
         twins = now_s - track.beside_s <= _TWIN_MEMORY_S
-        others = track.fed_by.get(source.about.transport) != source.key
+        others = track.fed_by.get(source.latest.transport) != source.key
         if others and source.key in track.sources:
             continue
         away = off(track, fix, at)

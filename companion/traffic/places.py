@@ -108,5 +108,5 @@ def _signalled(there: Neighbour, suspicion: Suspicion) -> Neighbour:
 
 
 def _rank(track: Track) -> int:
-    told = track.about.basic_id
+    told = track.latest.basic_id
     return rank_of(None if told is None else told.ua_type, track.content.status)

@@ -154,11 +154,11 @@ class Table:
     def newcomer(self, track_id: str, source: Source, fix: Fix, now_s: float) -> Newcomer:
         """Judge an aircraft that no track is of yet."""
         sample_s = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
-        age_s, about = now_s - sample_s, source.about
+        age_s, latest = now_s - sample_s, source.latest
         margin = margin_m(fix.sigma_m, fix.sigma_mps, age_s, 0.0)
         velocity = fix.velocity or (0.0, 0.0, 0.0)
         motion = Motion(fix.position, velocity, age_s, margin, fix.vertical_known)
-        sound = sound_of(about.transport, about.address, about.rssi_dbm)
+        sound = sound_of(latest.transport, latest.address, latest.rssi_dbm)
         together, allowance = self.burst.note(now_s), allowance_of(sound)
         standing, threat = self.judgement.standing(motion, Trust.FRESH, together, allowance, False)
         return Newcomer(track_id, sample_s, sound, together, allowance, standing, threat)

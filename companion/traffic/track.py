@@ -13,8 +13,8 @@ from companion.geometry import Vec3
 from companion.remote_id.messages import Location
 from companion.traffic.eviction import Trust
 from companion.traffic.fix import Belief, Fix, belief_of, height_error_m, hold
+from companion.traffic.latest_messages import LatestMessages
 from companion.traffic.plausibility import UNTRUSTED, Doubts, Flag, MotionWindow, noise_m
-from companion.traffic.senders.about import About
 from companion.traffic.signal_strength import SignalWitness
 
 _CLOCKLESS_S = 0.5
@@ -131,7 +131,7 @@ class Track:
     content: Location
     leads_s: deque[float]
     """How far the sender's clock led ours at its last messages. Negative: its clock lags, or delay."""
-    about: About
+    latest: LatestMessages
     sources: deque[str]
     """Keys (transport/address) of the last few radio addresses that it was received from."""
     motion: MotionWindow

@@ -31,12 +31,12 @@ from companion.traffic.doubts import Judge
 from companion.traffic.eviction import Judgement
 from companion.traffic.fix import Belief, Fix, make_fix
 from companion.traffic.flood.choice import chosen
+from companion.traffic.latest_messages import LatestMessages
 from companion.traffic.matching import match, same_aircraft
 from companion.traffic.own_flight import OwnFlight
 from companion.traffic.places import neighbours_of
 from companion.traffic.plausibility import Flag, MotionWindow, Reports, status_doubts
 from companion.traffic.right_of_way import rank_of
-from companion.traffic.senders.about import About
 from companion.traffic.senders.reception import Reception
 from companion.traffic.senders.source import Source
 from companion.traffic.signatures import Signatures
@@ -154,7 +154,7 @@ class Traffic:
             separation_m: height of the geoid above the ellipsoid here; None while unknown.
         """
         source = self._table.sources.at(heard.transport, heard.address)
-        source.about.rssi_dbm = heard.rssi_dbm
+        source.latest.rssi_dbm = heard.rssi_dbm
         locations = []
         # Authentication that this frame completes, and whether it ends a set of which pages are missing.
         whole, torn = None, False
@@ -167,11 +167,11 @@ class Traffic:
                 whole = self._add_page(source, message, heard, now_s) or whole
                 torn = torn or (self._assembler.gave_up and message.auth_type == SPECIFIC_METHOD)
             else:
-                source.about.keep(message)
+                source.latest.keep(message)
         if locations:
             source.reception.count_frame(heard.counter, now_s)
         if whole is not None:
-            source.about.authentication = whole
+            source.latest.authentication = whole
         fed: list[Track] = []
         for message in locations:
             fix = make_fix(message, now_s, utc_offset_s, frame, separation_m, self.config.max_clock_offset_s)
@@ -234,7 +234,7 @@ class Traffic:
     def receptions(self, track: Track) -> list[tuple[str, Reception]]:
         """Transport and reception statistics of each radio address of a track."""
         held = (self._table.sources.held(key) for key in track.sources)
-        return [(s.about.transport, s.reception) for s in held if s is not None]
+        return [(s.latest.transport, s.reception) for s in held if s is not None]
 
     def _loss_s(self, belief: Belief) -> float:
         return self.judgement.loss_s(belief.position, belief.velocity)
@@ -252,7 +252,7 @@ class Traffic:
         if source.identity is None:
             source.identity = message.uas_id
             self._rename(source.key, message.uas_id, now_s)
-        source.about.keep_id(message, source.identity)
+        source.latest.keep_id(message, source.identity)
 
     def _rename(self, old: str, identity: str, now_s: float) -> None:
         """Give the tracks of an address their identity once it is known, up to `TRACKS_PER_IDENTITY`.
@@ -309,14 +309,14 @@ class Traffic:
             known = self._table.by_identity.get(source.key, [])
             identity = source.key
         track, away = match(known, source, fix, now_s, self.config.max_speed_mps)
-        ours = source.identity == self.own_uas_id or source.about.address in self.own_addresses
+        ours = source.identity == self.own_uas_id or source.latest.address in self.own_addresses
         if ours and self._own.distance_m(fix, now_s) < away:
             self.counts.own_echo += 1
             return None
         if track is None:
             return self._open(identity, known, source, fix, now_s)
         source.fed.append(track)
-        track.fed_by[source.about.transport] = source.key
+        track.fed_by[source.latest.transport] = source.key
         if source.key not in track.sources:
             # Also if the content is not new: on two transports the same message arrives twice.
             self._table.feed(track, source.key)
@@ -355,7 +355,7 @@ class Traffic:
         track.believe(fix, now_s, self._loss_s)
         track.messages += 1
         track.hypothesis = track.hypothesis and track.messages < ESTABLISHED
-        track.about.update(source.about)
+        track.latest.update(source.latest)
         if track.messages == ESTABLISHED or track.messages % _RANKED_EVERY == 0:
             self._table.rank(track, now_s)
         self.counts.updates += 1
@@ -386,7 +386,7 @@ class Traffic:
 
 
 def _new_track(identity: str, newcomer: Newcomer, source: Source, fix: Fix, now_s: float) -> Track:
-    about, key = source.about, source.key
+    latest, key = source.latest, source.key
     first_lead_s = 0.0 if fix.stamp_s is None else fix.stamp_s - now_s
     track = Track(
         track_id=newcomer.track_id,
@@ -401,9 +401,9 @@ def _new_track(identity: str, newcomer: Newcomer, source: Source, fix: Fix, now_
         vertical_known=fix.vertical_known,
         content=fix.content,
         leads_s=deque([first_lead_s], maxlen=_LEADS),
-        about=About(about.transport, about.address),
+        latest=LatestMessages(latest.transport, latest.address),
         sources=deque([key], maxlen=ADDRESSES_PER_TRACK),
-        fed_by={about.transport: key},
+        fed_by={latest.transport: key},
         motion=MotionWindow(fix, now_s),
         opened_s=now_s,
         group="together" if newcomer.together else newcomer.sound,
@@ -413,6 +413,6 @@ def _new_track(identity: str, newcomer: Newcomer, source: Source, fix: Fix, now_
         clock_s=now_s,
         declared_s=None if fix.velocity is None else now_s,
     )
-    track.about.update(about)
+    track.latest.update(latest)
     track.remember(fix)
     return track

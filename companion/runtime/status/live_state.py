@@ -64,7 +64,7 @@ def _tracks(core: Companion, now_s: float, decision: Decision | None) -> list[Tr
     conflicts = set() if decision is None else {(t.adsb, t.track_id) for t in decision.tracks if t.conflict}
     levels = core.alerts.levels
     names = {
-        track_id: (track.about.transport, tuple(sorted(flag.value for flag in track.flags)))
+        track_id: (track.latest.transport, tuple(sorted(flag.value for flag in track.flags)))
         for track_id, track in core.traffic.tracks.items()
     }
     others = core.traffic.neighbours(now_s) + core.adsb.look(now_s, own[2])

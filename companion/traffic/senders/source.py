@@ -11,7 +11,7 @@ from collections import OrderedDict, deque
 from dataclasses import dataclass, field
 
 from companion.remote_id.messages import Message
-from companion.traffic.senders.about import About
+from companion.traffic.latest_messages import LatestMessages
 from companion.traffic.senders.reception import Reception
 from companion.traffic.track import Track
 
@@ -36,7 +36,7 @@ class Source:
     """One radio address on one transport."""
 
     key: str
-    about: About
+    latest: LatestMessages
     identity: str | None = None
     """Identity from the first Basic ID. Later ones do not change it, so that a sender of two identities does
     not rename its track back and forth."""
@@ -82,7 +82,7 @@ class Sources:
                 return source
         if len(self) >= self.most:
             (self._idle or self._feeding).popitem(last=False)
-        source = self._idle[key] = Source(key, About(transport, address))
+        source = self._idle[key] = Source(key, LatestMessages(transport, address))
         return source
 
     def of(self, transport: str, address: str) -> Source | None:

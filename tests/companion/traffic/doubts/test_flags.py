@@ -264,12 +264,12 @@ def test_what_is_heard_before_the_track_is_kept():
     for k, message in enumerate(before):
         listener.hear(10.0 + 0.1 * k, message, transport="ble4")
     listener.hear(11.0, location(straight(), 10.8), transport="ble4", rssi=-71.0)
-    about = listener.traffic.tracks["X"].about
-    assert (about.transport, about.address, about.rssi_dbm) == ("ble4", "a", -71.0)
-    assert (about.basic_id, about.other_id) == (basic(), registration)
-    assert (about.system, about.operator_id) == (system, operator)
-    assert about.self_id == SelfId(description_type=0, text="survey")
-    assert about.authentication is None
+    latest = listener.traffic.tracks["X"].latest
+    assert (latest.transport, latest.address, latest.rssi_dbm) == ("ble4", "a", -71.0)
+    assert (latest.basic_id, latest.other_id) == (basic(), registration)
+    assert (latest.system, latest.operator_id) == (system, operator)
+    assert latest.self_id == SelfId(description_type=0, text="survey")
+    assert latest.authentication is None
 
 
 def test_what_one_transport_lacks_the_other_has_told():
@@ -278,16 +278,16 @@ def test_what_one_transport_lacks_the_other_has_told():
         10.2, basic(), location(straight(), 10.0), System(area_count=2), transport="wifi", address="w"
     )
     listener.hear(10.9, basic(), location(straight(), 10.7), transport="ble5", address="b", rssi=-90.0)
-    about = listener.traffic.tracks["X"].about
-    assert (about.transport, about.address, about.rssi_dbm) == ("ble5", "b", -90.0)
-    assert about.system == System(area_count=2)
+    latest = listener.traffic.tracks["X"].latest
+    assert (latest.transport, latest.address, latest.rssi_dbm) == ("ble5", "b", -90.0)
+    assert latest.system == System(area_count=2)
 
 
 def test_foreign_authentication_is_shown():
     listener = Listener()
     drip = AuthenticationData(5, UTC_OFFSET_S, bytes(range(137)))
     listener.hear(10.2, basic(), location(straight(), 10.0), *split(drip))
-    assert listener.traffic.tracks["X"].about.authentication == drip
+    assert listener.traffic.tracks["X"].latest.authentication == drip
 
 
 def test_every_flag_has_its_sentence():

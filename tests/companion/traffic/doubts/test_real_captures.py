@@ -57,9 +57,9 @@ def test_a_dji_air_3_is_sound():
     (track,) = traffic.tracks.values()
     assert not raised
     assert track.messages == 9
-    assert track.about.system is not None
-    assert track.about.basic_id is not None
-    assert track.about.basic_id.uas_id == track.identity
+    assert track.latest.system is not None
+    assert track.latest.basic_id is not None
+    assert track.latest.basic_id.uas_id == track.identity
 
 
 @pytest.mark.parametrize(
@@ -80,6 +80,6 @@ def test_authentication_of_a_linux_transmitter():
     traffic, raised = listened("wifi_beacon_hostapd.pcapng")
     (track,) = traffic.tracks.values()
     assert not raised
-    assert track.about.authentication is not None
-    assert track.about.authentication.auth_type == 1
-    assert len(track.about.authentication.data) == 63
+    assert track.latest.authentication is not None
+    assert track.latest.authentication.auth_type == 1
+    assert len(track.latest.authentication.data) == 63

@@ -137,7 +137,7 @@ def test_signed_page_by_page_on_ble4():
         listener.fly(t)
         listener.pages(t, manifest([encode(listener.last)], t))
     assert listener.flags() == {Flag.SIGNED}
-    assert listener.traffic.tracks["X"].about.authentication.auth_type == 5
+    assert listener.traffic.tracks["X"].latest.authentication.auth_type == 5
 
 
 class Ble4(Listener):
@@ -196,7 +196,7 @@ def test_signatures_say_nothing_without_keys():
     signed_flight(listener, seconds(20))
     assert listener.ever == set()
     assert listener.traffic.signatures is None
-    assert len(listener.traffic.tracks["X"].about.authentication.data) == 121
+    assert len(listener.traffic.tracks["X"].latest.authentication.data) == 121
 
 
 def test_a_signed_liar_is_judged_like_any_other():

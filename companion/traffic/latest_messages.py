@@ -9,7 +9,7 @@ from companion.remote_id.messages import BasicId, Message, OperatorId, SelfId, S
 
 
 @dataclass(slots=True)
-class About:
+class LatestMessages:
     """The last message of each type from a sender, and how the sender was last received."""
 
     transport: str
@@ -40,7 +40,7 @@ class About:
         else:
             self.other_id = message
 
-    def update(self, other: About) -> None:
+    def update(self, other: LatestMessages) -> None:
         """Take over everything that is set in `other`, which is newer."""
         self.transport, self.address, self.rssi_dbm = other.transport, other.address, other.rssi_dbm
         if other.basic_id is not None:
