@@ -224,16 +224,16 @@ class Burst:
     def add(self, sector: Sector, now_s: float) -> ObstacleScan | None:
         """Take in a sector. Returns the scan that it ends, if any: its own with the last sector, or the one
         before if it is the first of a new burst."""
-        ended = self.take() if sector.number in self._sectors else None
+        ended = self._finish() if sector.number in self._sectors else None
         self._sectors[sector.number], self._at_s = sector, now_s
-        return self.take() if sector.number == DIRECTIONS - 1 else ended
+        return self._finish() if sector.number == DIRECTIONS - 1 else ended
 
     def settled(self, now_s: float) -> ObstacleScan | None:
         """The scan of a burst of which nothing more came for some time: ArduPilot leaves out sectors that
         never saw anything."""
-        return self.take() if self._sectors and not 0.0 <= now_s - self._at_s < SETTLED_S else None
+        return self._finish() if self._sectors and not 0.0 <= now_s - self._at_s < SETTLED_S else None
 
-    def take(self) -> ObstacleScan | None:
+    def _finish(self) -> ObstacleScan | None:
         """The scan of what came so far; None if nothing is known of it."""
         sectors, self._sectors = self._sectors, {}
         if all(one.cm == UNKNOWN for one in sectors.values()):

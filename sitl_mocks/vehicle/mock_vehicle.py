@@ -267,7 +267,7 @@ class MockVehicle:
         for frame, message in messages:
             kept = frame.message_id == _ADSB and self._uses_traffic
             if kept:
-                self.traffic.take(message)
+                self.traffic.receive(message)
             if len(self._links) > 1 and self._manners.forwards and not kept:
                 self._links.forward(frame, message, link)
             system = getattr(message, "target_system", 0)

@@ -97,7 +97,7 @@ class Traffic:
         self._passed: dict[tuple[int, int], float] = {}
         """Link and ICAO address -> time of the report that was forwarded last."""
 
-    def take(self, message: MavlinkMessage) -> None:
+    def receive(self, message: MavlinkMessage) -> None:
         """Take a report of another component. ArduPilot uses it only with a receiver, PX4 always."""
         self.taken.append(message)
         self._taken += 1

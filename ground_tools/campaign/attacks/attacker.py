@@ -92,7 +92,7 @@ class Budget:
         for transport, rate in FRAMES_PER_S.items():
             self._left[transport] = min(self._left[transport] + rate * elapsed_s, _BURST_S * rate)
 
-    def take(self, transport: str) -> bool:
+    def spend(self, transport: str) -> bool:
         """Use one frame; False if the transmitter cannot send more now."""
         if self._left[transport] < 1.0:
             return False

@@ -143,7 +143,7 @@ class World:
     def _attack(self, now_s: float, view: View, receivers: dict[str, Vec3]) -> None:
         self._budget.pass_time(STEP_S)
         for sent in self.attacker.send(now_s, view):
-            if not self._budget.take(sent.transport):
+            if not self._budget.spend(sent.transport):
                 continue
             frames = [sent.frame]
             if not sent.frame:

@@ -142,7 +142,7 @@ def test_the_transmitter_sends_no_more_than_it_can():
     budget, taken = Budget(), 0
     for _ in range(100):
         budget.pass_time(0.05)
-        taken += sum(budget.take(WIFI_BEACON) for _ in range(1000))
+        taken += sum(budget.spend(WIFI_BEACON) for _ in range(1000))
     assert taken == pytest.approx(5.0 * FRAMES_PER_S[WIFI_BEACON], rel=0.06)
 
 
