@@ -1,4 +1,4 @@
-"""When a companion decided what it sends, as far as it can be inferred from the bytes outside it."""
+"""When a companion decided what it sends, inferred from the bytes on its link."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _SYSTEM_TIME, _LOCAL, _GLOBAL, _SETPOINT = 2, 32, 33, 84
 CLOCKS: Final = {_SYSTEM_TIME: 8, _LOCAL: 0, _GLOBAL: 0}
 """Messages that give the companion the vehicle's clock, and the clock's offset in them (uint32, ms)."""
 _KNOWN_S = 30.0
-"""Longer than any stall of a companion."""
+"""How long clock times are kept: longer than any stall of a companion."""
 
 
 class Decisions:
-    """Latest possible decision times of setpoints, as far as they can be inferred from outside.
+    """Latest possible decision times of setpoints, inferred from the bytes on the link.
 
     A setpoint carries the vehicle's clock as the companion knew it. If a message with a later time had been
     readable, the companion decided before it read that message. If the message was readable when the
@@ -30,7 +30,7 @@ class Decisions:
         self._newest_ms = -1
 
     def readable(self, now_s: float, told: list[tuple[float, bytes]]) -> None:
-        """The companion can read these frames now."""
+        """Record that the companion can read these frames from now on."""
         for _, raw in told:
             message_id = raw[7] | raw[8] << 8 | raw[9] << 16
             at = CLOCKS.get(message_id) if raw[0] == 0xFD and raw[6] == AUTOPILOT else None
@@ -38,8 +38,8 @@ class Decisions:
                 continue
             clock_ms = int.from_bytes(raw[10 : 10 + raw[1]].ljust(12, b"\0")[at : at + 4], "little")
             if clock_ms < self._newest_ms:
-                # Out of order: the companion's clock goes back, and nothing is known until it has advanced
-                # again.
+                # Out of order: the companion's copy of the clock goes back, so nothing can be inferred until
+                # the clock has passed its newest value.
                 self._told.clear()
             elif clock_ms > self._newest_ms:
                 self._newest_ms = clock_ms

@@ -218,8 +218,8 @@ class Wire:
         whole = b"".join(frame.raw for frame in frames)
         self.judge.leaves(left.at_s, whole)
         if self.way.weather.up_stands and self.kind != "tcp":
-            return  # A TCP end loses the segments themselves.
-        # The companion does not answer for the time that the far end took to read.
+            return  # A TCP end drops the segments itself (`TcpEnd`).
+        # The time that the far end took to read is not the companion's delay.
         decided_s = self._decisions.decided_s(left.at_s, frames) + left.waited_s
         self.judge.reaches(left.at_s + left.waited_s, whole, decided_s)
         if self._passed is not None:
