@@ -304,7 +304,7 @@ def _aircraft(
     number: int,
     name: str,
     path: Floats,
-    luck: np.random.SeedSequence,
+    seed_sequence: np.random.SeedSequence,
     law: str | None,
     policy: bytes | None,
     record: Callable[[str, Config], Callable[[Step], None]] | None,
@@ -312,12 +312,12 @@ def _aircraft(
 ) -> Aircraft:
     """Create one aircraft of `fly`. Random choices have a generator separate from navigation errors."""
     config = with_agent(companion_config(scenario, name, path, law), policy, number)
-    drawn = np.random.default_rng(luck.spawn(1)[0]) if scenario.atmc.policy == RANDOM else None
+    drawn = np.random.default_rng(seed_sequence.spawn(1)[0]) if scenario.atmc.policy == RANDOM else None
     return Aircraft(
         name,
         vehicle_options(scenario, number, path),
         config,
-        np.random.default_rng(luck),
+        np.random.default_rng(seed_sequence),
         None if record is None else record(name, config),
         None if tlog is None else tlog(name),
         policy,

@@ -51,11 +51,11 @@ START_S = 15.0
 """Time from starting the processes to the paths' time 0. On few cores, interpreters and compiled kernels take
 long to load.
 """
-_ANYWHERE_M = 10_000.0
+_START_WITHIN_M = 10_000.0
 """`flight.start_within_m` in an examination, where a pilot may have flown the vehicle far from its path
 before the companion takes control again.
 """
-_GIVING_BACK_S = 60.0
+_CLOCK_STOPS_S = 60.0
 """Time added to a schedule, because its clock stops while the vehicle is given back and taken again."""
 
 
@@ -197,7 +197,7 @@ def _alone(scenario: Scenario, schedule: AircraftSchedule) -> Plan:
         raise ConfigError(
             f"--schedule: the scenario has no aircraft {number}; give the --scenario of the original run"
         )
-    duration_s = schedule.until_s + _GIVING_BACK_S
+    duration_s = schedule.until_s + _CLOCK_STOPS_S
     return Plan(scenario, schedule.seed, duration_s, (number,), {number: schedule}, until_over=True)
 
 
@@ -313,7 +313,7 @@ def _start_companion(
 ) -> Process:
     number = names_of(plan.scenario, plan.seed).index(name)
     config = choosing.with_agent(companion_config(plan.scenario, name, path, None), plan.policy, number)
-    near_m = _ANYWHERE_M if plan.schedules else config.flight.start_within_m
+    near_m = _START_WITHIN_M if plan.schedules else config.flight.start_within_m
     config = msgspec.structs.replace(
         config,
         vehicle=msgspec.structs.replace(config.vehicle, link=link),

@@ -21,7 +21,7 @@ PATIENCE_S = 1800.0
 SETTLED_S = 30.0
 """Time after the last trouble within which `Flights.at_work` must hold again."""
 _ON_GROUND_S = 5.0
-_LOOKS_S = 1.0
+_PILOT_PERIOD_S = 1.0
 _FLOWN_S = 600.0
 """Flight time after which the pilot returns a vehicle that the companion flies: its path ends in the air."""
 
@@ -135,7 +135,7 @@ class Flights(World):
         now_s, vehicle = self.now_s, self.vehicle
         if now_s < self._pilot_s:
             return
-        self._pilot_s = now_s + _LOOKS_S
+        self._pilot_s = now_s + _PILOT_PERIOD_S
         if not vehicle.armed:
             if now_s - self._armed_s > _ON_GROUND_S:
                 self._begin_flight()
@@ -149,11 +149,11 @@ class Flights(World):
             self._on_mission_s = now_s
         quiet_s = now_s - self.quiet_from_s
         if quiet_s > SETTLED_S and vehicle.landed is Landed.IN_AIR and not self.at_work:
-            self._set_right(quiet_s)
+            self._recover(quiet_s)
         if self.use == "fly" and now_s - self.flight_s > _FLOWN_S:
             self._go_home()
 
-    def _set_right(self, quiet_s: float) -> None:
+    def _recover(self, quiet_s: float) -> None:
         if not self._authority:
             self._go_home()
         elif self.vehicle.mode is not VehicleMode.MISSION:

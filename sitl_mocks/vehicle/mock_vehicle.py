@@ -105,8 +105,8 @@ class MockVehicle:
         self.sensor: Sensor | None = None
         """Sensor for obstacles. It has a random generator of its own, apart from the navigation errors."""
         if options.sensor is not None:
-            luck = rng.spawn(1)[0]
-            self.sensor = Sensor(options.sensor, options.obstacles, home, luck, options.system_id)
+            sensor_rng = rng.spawn(1)[0]
+            self.sensor = Sensor(options.sensor, options.obstacles, home, sensor_rng, options.system_id)
         self._boot(options, start_s, boot_s=-options.boot_time_offset_s)
         self.open_link(0)
 

@@ -132,11 +132,11 @@ class Sensor:
         self._obstacles = tuple(obstacles)
         self._home = home
         self._rng = rng
-        self._turned_rad = math.radians(options.bearing_sigma_deg) * float(rng.standard_normal())
+        self._mounting_error_rad = math.radians(options.bearing_sigma_deg) * float(rng.standard_normal())
         self._most_sine = math.sin(math.radians(0.5 * options.vertical_deg))
         self._most_angle = math.radians(0.5 * options.fov_deg)
         self._next_s = -math.inf
-        self._ever: set[int] = set()
+        self._seen_sectors: set[int] = set()
         """Sectors of DISTANCE_SENSOR that have seen something."""
         self._writer = MavlinkWriter(system_id, AUTOPILOT if options.message == "proximity" else COMPONENT)
 
@@ -151,7 +151,7 @@ class Sensor:
             return []
         self._next_s = now_s + 1.0 / self._options.rate_hz
         roll, pitch, yaw = attitude
-        rows = _rows(roll, pitch, yaw + self._turned_rad)
+        rows = _rows(roll, pitch, yaw + self._mounting_error_rad)
         if self._options.message == "scan":
             messages = [self._scan(now_s, position, rows)]
         elif self._options.message == "points":
@@ -172,10 +172,10 @@ class Sensor:
         if options.message != "proximity":
             return []
         roll, pitch, yaw = attitude
-        rows = _rows(roll, pitch, yaw + self._turned_rad)
+        rows = _rows(roll, pitch, yaw + self._mounting_error_rad)
         nearest = self._nearest(now_s, position, rows, WIRED_SECTORS)
         valid = {number for number, distance in enumerate(nearest) if distance <= options.range_m}
-        self._ever |= valid
+        self._seen_sectors |= valid
         most = round(100.0 * options.range_m)
         return [
             mavlink.MAVLink_distance_sensor_message(
@@ -183,7 +183,7 @@ class Sensor:
                 max(1, round(100.0 * (nearest[number] + self._noise()))) if number in valid else most,
                 mavlink.MAV_DISTANCE_SENSOR_LASER, 10 + number, number, 0,
             )
-            for number in sorted(self._ever)
+            for number in sorted(self._seen_sectors)
             if valid
         ]  # fmt: skip
 

@@ -12,7 +12,7 @@ AUTOPILOT: Final = 1
 _SYSTEM_TIME, _LOCAL, _GLOBAL, _SETPOINT = 2, 32, 33, 84
 CLOCKS: Final = {_SYSTEM_TIME: 8, _LOCAL: 0, _GLOBAL: 0}
 """Messages that give the companion the vehicle's clock, and the clock's offset in them (uint32, ms)."""
-_KNOWN_S = 30.0
+_KEPT_S = 30.0
 """How long clock times are kept: longer than any stall of a companion."""
 
 
@@ -25,7 +25,7 @@ class Decisions:
     """
 
     def __init__(self) -> None:
-        self._told: deque[tuple[float, int]] = deque(maxlen=1000)
+        self._readable: deque[tuple[float, int]] = deque(maxlen=1000)
         """Times at which a message could be read, and the vehicle's clock in it (ms). Both increase."""
         self._newest_ms = -1
 
@@ -40,10 +40,10 @@ class Decisions:
             if clock_ms < self._newest_ms:
                 # Out of order: the companion's copy of the clock goes back, so nothing can be inferred until
                 # the clock has passed its newest value.
-                self._told.clear()
+                self._readable.clear()
             elif clock_ms > self._newest_ms:
                 self._newest_ms = clock_ms
-                self._told.append((now_s, clock_ms))
+                self._readable.append((now_s, clock_ms))
 
     def decided_s(self, now_s: float, frames: list[Frame]) -> float:
         """Latest possible decision time of frames that leave now."""
@@ -52,8 +52,8 @@ class Decisions:
             if frame.message_id == _SETPOINT:
                 clock_ms = int.from_bytes(frame.payload[:4], "little")
                 # A message may have been read after the step had begun.
-                later = next((at_s for at_s, told_ms in self._told if told_ms > clock_ms), now_s)
+                later = next((at_s for at_s, told_ms in self._readable if told_ms > clock_ms), now_s)
                 decided_s = min(decided_s, later)
-        while len(self._told) > 1 and now_s - self._told[0][0] > _KNOWN_S:
-            self._told.popleft()
+        while len(self._readable) > 1 and now_s - self._readable[0][0] > _KEPT_S:
+            self._readable.popleft()
         return decided_s

@@ -68,7 +68,7 @@ class Wire:
         """Longest time that a datagram waited for the router."""
         self._decisions = Decisions()
         self._drops = 0
-        self._loses = False
+        self._was_full = False
         """Whether the companion's buffer was full at the last check."""
         self._shown = shown
         self._passed = passed
@@ -183,7 +183,7 @@ class Wire:
         count of drops takes time. It is read once for a few frames, and around each watched frame if there
         are many or if some were lost the last time.
         """
-        singly = self._loses or len(news) > _FEW
+        singly = self._was_full or len(news) > _FEW
         told = []
         for sent_s, frame in news:
             watched = _is_watched(frame)
@@ -202,7 +202,7 @@ class Wire:
         """Number of datagrams dropped since the last call."""
         before, self._drops = self._drops, self._end.kernel_drops()
         lost = max(0, self._drops - before)
-        self._loses = lost > 0
+        self._was_full = lost > 0
         self.dropped += lost
         return lost
 
