@@ -1,4 +1,4 @@
-# make demo | test | lint | bench | fuzz | site | packages: each sets up what it needs in .venv first, by pip.
+# make demo | test | lint | bench | fuzz | site | packages: each first installs what it needs into .venv with pip.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -19,7 +19,7 @@ lint: .venv/dev.stamp
 bench: .venv/dev.stamp
 	$(BIN)/python -m bench
 
-# Every night: ten million damaged inputs to the readers of what others send, other ones each day.
+# Nightly: ten million damaged inputs for the parsers of untrusted input, with a new seed each day.
 SEED ?= $(shell date +%Y%m%d)
 fuzz: .venv/dev.stamp
 	nice $(BIN)/python -m tests.fuzz.run --payloads 10000000 --seconds 3600 --seed $(SEED)
@@ -29,9 +29,9 @@ site: .venv/docs.stamp
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "build/site/index.html"
 
-# Installs the wheel with the example projects in an empty environment, and the wheel, a Debian package and a container
-# image in empty systems. Needs root, mmdebstrap and more; what is missing is named, and that part is skipped (exit
-# code 77).
+# Installs the wheel and the example projects into an empty environment, and the wheel, the Debian package and the
+# container image into empty systems. This needs root, mmdebstrap and other tools. A script that lacks one names it and
+# is skipped (exit code 77).
 packages: .venv/dev.stamp
 	rm -rf build/dist
 	$(BIN)/python -m hatchling build -t wheel -d build/dist
@@ -48,7 +48,7 @@ clean:
 	rm -rf .venv
 
 .venv/bin/python:
-	@echo "making a Python environment in .venv"
+	@echo "creating a Python environment in .venv"
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or later is needed; name one with make PYTHON=...")'
 	$(PYTHON) -m venv .venv
 
@@ -63,6 +63,6 @@ clean:
 	@touch .venv/base.stamp $@
 
 .venv/docs.stamp: pyproject.toml | .venv/bin/python
-	@echo "installing what the documentation is built with into .venv (once)"
+	@echo "installing the tools that build the documentation into .venv (once)"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	@touch .venv/base.stamp $@

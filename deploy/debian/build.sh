@@ -1,6 +1,6 @@
 #!/bin/sh
-# Builds dmuca-companion_VERSION_ARCHITECTURE.deb from the wheel, for the Debian and the architecture that it runs on.
-# docs/packages.md says how it is used. It needs root, python3-venv and the network; /opt/dmuca must not exist.
+# Builds dmuca-companion_VERSION_ARCHITECTURE.deb from the wheel, for the Debian version and the architecture on which it
+# runs. docs/packages.md says how to use it. It needs root, python3-venv and the network; /opt/dmuca must not exist.
 #
 #   deploy/debian/build.sh WHEEL FOLDER
 set -eu
@@ -8,12 +8,12 @@ set -eu
 usage="usage: deploy/debian/build.sh WHEEL FOLDER"
 here=$(cd "$(dirname "$0")" && pwd)
 wheel=$(realpath "${1:?$usage}") folder=$(realpath "${2:?$usage}")
-[ "$(id -u)" = 0 ] || { echo "build.sh: run it as root: it makes the files of the package in /opt/dmuca"; exit 1; }
-[ ! -e /opt/dmuca ] || { echo "build.sh: /opt/dmuca exists; run it where nothing is installed there"; exit 1; }
+[ "$(id -u)" = 0 ] || { echo "build.sh: run it as root, because it writes the files of the package to /opt/dmuca"; exit 1; }
+[ ! -e /opt/dmuca ] || { echo "build.sh: /opt/dmuca exists; run it on a system without an installation there"; exit 1; }
 
 root=$(mktemp -d)
 trap 'rm -rf "$root" /opt/dmuca' EXIT
-# Made in the place where it will stand, because the scripts of an environment name their interpreter by its path.
+# Build it in its final folder, because the scripts of a virtual environment contain the path of their interpreter.
 python3 -m venv /opt/dmuca/.venv
 /opt/dmuca/.venv/bin/pip install --quiet --no-cache-dir --only-binary=:all: "$wheel"
 version=$(/opt/dmuca/.venv/bin/companion --version | cut -d ' ' -f 2)

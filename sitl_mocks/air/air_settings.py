@@ -44,9 +44,9 @@ class AirSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     range_m: Annotated[float, Meta(gt=0, le=1e6)] | None = None
     """Largest distance at which frames are heard, only for "interval". None: unlimited."""
     transports: Annotated[tuple[TransportName, ...], Meta(min_length=1, max_length=4)] = ("wifi",)
-    """Transports on which every aircraft sends, all at once.
+    """Transports on which every aircraft sends at the same time.
 
-    If [atmc] chooses, they hold until its first choice.
+    If [atmc] is given, they are used until its first choice.
     """
     rate: Annotated[int, Meta(ge=1, le=10)] = 1
     """Locations per second on each transport."""
@@ -131,7 +131,7 @@ def with_options(
     """Apply the command options to a scenario's air. A change of the model drops the keys of the old model.
 
     Raises:
-        ConfigError: an option does not go with the model, or the parameter file is wrong.
+        ConfigError: an option is not allowed with the model, or the parameter file is wrong.
     """
     if arguments.channel is not None and arguments.channel != air.model:
         air = AirSettings(model=arguments.channel, transports=air.transports, rate=air.rate)

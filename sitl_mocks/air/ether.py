@@ -303,7 +303,7 @@ class Ether:
     def _read_position(self, sender: str, transport: str, address: str, frame: bytes) -> bool:
         """Whether a frame contains a position.
 
-        It is kept for a sender whose position was never set by `place`.
+        The position is kept if `place` has never set one for the sender.
         """
         heard = self._reader.receive(transport, address, frame)
         found = False

@@ -126,7 +126,7 @@ class EtherServer:
             except BlockingIOError:
                 return
             except ConnectionError:
-                # An earlier delivery went to a client that is gone. It is removed after its silence.
+                # An earlier delivery went to a client that has ended. `step` removes silent clients.
                 continue
 
     def _take(self, now_s: float, datagram: ether_wire.Datagram, endpoint: Endpoint) -> None:

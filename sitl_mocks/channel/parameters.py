@@ -136,8 +136,8 @@ class PropagationParameters(_Section, frozen=True, kw_only=True):
     """Log-distance path loss with log-normal shadowing."""
 
     loss_at_1m_db: float = 52.55
-    """Not given in the paper but calibrated to it. It yields ranges of 253, 941 and 2,263 m, where the paper
-    states 250, 1,000 and 2,000 m, and its published delays within 5 %.
+    """Path loss at 1 m, calibrated because the paper does not give it. It yields ranges of 253, 941 and 2,263
+    m, where the paper states 250, 1,000 and 2,000 m, and reproduces the published delays within 5 %.
     """
     exponent: float = 2.1
     shadowing_sigma_db: float = 0.0

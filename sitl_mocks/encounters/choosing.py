@@ -70,8 +70,8 @@ def read_policy(scenario: Scenario) -> bytes | None:
     """Read and check the scenario's policy file. Returns None if no file is named.
 
     Raises:
-        ConfigError: the file cannot be read or flown, or none of its actions is legal in the scenario's
-            region.
+        ConfigError: the file cannot be read or is no usable policy, or none of its actions is legal in the
+            scenario's region.
     """
     where = scenario.atmc.policy
     plugged = plugin_policy(where)
@@ -96,7 +96,7 @@ def read_policy(scenario: Scenario) -> bytes | None:
 
 
 def with_agent(config: Config, policy: bytes | None, number: int) -> Config:
-    """The configuration of an aircraft, with its own network of a policy that holds one for each aircraft."""
+    """The configuration with `atmc.agent` set, if the policy holds one network for each aircraft."""
     if policy is None or policy_file.read(policy, "policy")[0].agents == 1:
         return config
     return msgspec.structs.replace(config, atmc=msgspec.structs.replace(config.atmc, agent=number))

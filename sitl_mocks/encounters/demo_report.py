@@ -32,7 +32,7 @@ class Outcome:
     chosen: dict[str, Chosen]
     """Transports that each aircraft used, by name."""
     faults: dict[str, str] = field(default_factory=dict)
-    """Why the law of an aircraft failed, by its name."""
+    """Aircraft -> why its law failed."""
 
     @property
     def min_separation_m(self) -> float:
@@ -177,7 +177,7 @@ def show(verdict: Verdict, folder: Path, console: Console) -> None:
 
 
 def command(name: str) -> str:
-    """Command line for one of our commands, from where this command was called."""
+    """How to call another of our commands: by its name if it is on PATH, else by its path beside this one."""
     beside = Path(sys.argv[0]).with_name(name)
     return name if shutil.which(name) or not beside.exists() else str(beside)
 

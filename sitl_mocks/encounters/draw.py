@@ -1,11 +1,10 @@
 """Short encounters for campaigns: a few aircraft that turn towards one place and reach it together.
 
 Each aircraft flies at constant speed and turns once, 4 to 9 s before the crossing. All pass within a ball of
-3 m at 15 s, so without avoidance every pair comes within 6 m of each other, and no first leg shows this. A
-single encounter has no other aircraft on the air (sparse). Many encounters can also share one air, side by
-side (dense). Each then has a cell and a height of its own, so that it is the same encounter in a crowd that
-loads the band. The crowd consists of other encounters, of the same companions with the same choice of
-transports.
+3 m at 15 s, so without avoidance every pair comes within 6 m of each other. The first legs do not point at
+the crossing. A single encounter has no other aircraft on the air (sparse). Many encounters can also share one
+air, side by side (dense). Each then has a cell and a height of its own, so that the others only load the
+radio band. Their companions choose transports in the same way.
 """
 
 from __future__ import annotations

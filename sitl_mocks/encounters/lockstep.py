@@ -55,7 +55,7 @@ _OPERATOR_EU = "FIN87astrdge12k8-xyz"
 _DECODED = 4096
 """Number of decoded frames that are cached, because all receivers of one frame decode the same bytes."""
 SETTLE_S = 3.0
-"""Time for the companions to find and take their vehicles before the paths' clock starts."""
+"""Time for the companions to connect to their vehicles and take control, before the paths' clock starts."""
 
 
 @dataclass(slots=True)
@@ -78,9 +78,9 @@ class Run:
     chosen: dict[str, Chosen]
     """Transports that each aircraft used, by name."""
     faults: dict[str, str] = field(default_factory=dict)
-    """Why the law of an aircraft failed, by its name, for those whose law did."""
+    """Aircraft -> why its law failed. Aircraft whose law did not fail are missing."""
     obstacles: dict[tuple[str, str], tuple[float, float]] = field(default_factory=dict)
-    """Least distance (m) of each aircraft from each obstacle at a tick, and its path time, by their names."""
+    """(Aircraft, obstacle) -> least distance at a tick (m), and the path time of that tick."""
 
 
 class Aircraft:
@@ -170,7 +170,7 @@ def vehicle_options(scenario: Scenario, number: int, path: Floats) -> VehicleOpt
 
 
 def from_settling(obstacle: Obstacle) -> Obstacle:
-    """An obstacle of a scenario on the vehicles' clock, which begins before the paths' clock."""
+    """Convert an obstacle from the paths' clock to the vehicles' clock, which starts SETTLE_S earlier."""
     return msgspec.structs.replace(obstacle, at_ned_m=obstacle.place(-SETTLE_S))
 
 
@@ -247,7 +247,7 @@ def fly(
         seed: determines paths (drawn geometries), navigation errors and the channel.
         law: replaces the scenario's law ("none" is the baseline without avoidance).
         policy: content of the policy file that chooses the transports of all aircraft, in the form that
-            `CompanionSystem` takes. A record must hold it in its header.
+            `CompanionSystem` takes. An event record must hold it in its header.
         record: called once per aircraft with its name and configuration; returns the function that receives
             its steps.
         tlog: called once per aircraft with its name; returns the sink for its MAVLink.
@@ -292,7 +292,7 @@ def fly(
 def _measure(
     aircraft: Aircraft, scenario: Scenario, path_s: float, near: dict[tuple[str, str], tuple[float, float]]
 ) -> None:
-    """Note how near an aircraft is to each obstacle."""
+    """Update the least distance of an aircraft from each obstacle."""
     for name, obstacle in zip(obstacle_names(scenario), scenario.obstacle, strict=True):
         away_m = obstacle.distance_m(aircraft.vehicle.position_ned_m, path_s)
         if away_m < near[aircraft.name, name][0]:
@@ -304,7 +304,7 @@ def _aircraft(
     number: int,
     name: str,
     path: Floats,
-    luck: np.random.SeedSequence,
+    seed_sequence: np.random.SeedSequence,
     law: str | None,
     policy: bytes | None,
     record: Callable[[str, Config], Callable[[Step], None]] | None,
@@ -312,12 +312,12 @@ def _aircraft(
 ) -> Aircraft:
     """Create one aircraft of `fly`. Random choices have a generator separate from navigation errors."""
     config = with_agent(companion_config(scenario, name, path, law), policy, number)
-    drawn = np.random.default_rng(luck.spawn(1)[0]) if scenario.atmc.policy == RANDOM else None
+    drawn = np.random.default_rng(seed_sequence.spawn(1)[0]) if scenario.atmc.policy == RANDOM else None
     return Aircraft(
         name,
         vehicle_options(scenario, number, path),
         config,
-        np.random.default_rng(luck),
+        np.random.default_rng(seed_sequence),
         None if record is None else record(name, config),
         None if tlog is None else tlog(name),
         policy,

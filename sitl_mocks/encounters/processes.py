@@ -55,7 +55,7 @@ class Process:
 
 
 class Swarm:
-    """The processes of one run, and the examinations between them. `close` ends all that still run."""
+    """The processes of one run, and the examinations between them. `close` ends those that still run."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -88,7 +88,7 @@ class Swarm:
         return process
 
     def end(self, processes: list[Process]) -> list[str]:
-        """Ask processes to end and wait for them. Returns the names of those that did not end well."""
+        """Ask processes to end and wait for them. Returns those that ended with an error, with exit codes."""
         for process in processes:
             if process.child.poll() is None:
                 process.child.send_signal(signal.SIGINT)

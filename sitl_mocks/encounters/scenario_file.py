@@ -72,7 +72,7 @@ class Scenario(_Section, frozen=True):
     sensor: SensorOptions | None = None
     """A sensor aboard every aircraft, which sees obstacles and the other aircraft; None: there is none."""
     obstacle: tuple[Obstacle, ...] = ()
-    """What sends nothing. Its times are those of the paths."""
+    """Obstacles and aircraft that transmit nothing. Their times are on the paths' clock."""
     limits: LimitsConfig = LimitsConfig()
     avoidance: AvoidanceConfig = AvoidanceConfig()
 

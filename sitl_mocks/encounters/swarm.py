@@ -48,13 +48,15 @@ _EXAMPLES = """examples:
   sitl-mocks swarm --schedule runs/20260101-120000-swarm/DMUCA002.shortest.json
 """
 START_S = 15.0
-"""Time from starting the processes to the paths' time 0, in which interpreters and kernels load on few
-cores.
+"""Time from starting the processes to the paths' time 0. On few cores, interpreters and compiled kernels take
+long to load.
 """
-_ANYWHERE_M = 10_000.0
-"""In an examination pilots may have flown the vehicle far away before the companion takes it again."""
-_GIVING_BACK_S = 60.0
-"""Longest time for which the clock of one schedule may stand still."""
+_START_WITHIN_M = 10_000.0
+"""`flight.start_within_m` in an examination, where a pilot may have flown the vehicle far from its path
+before the companion takes control again.
+"""
+_CLOCK_STOPS_S = 60.0
+"""Time added to a schedule, because its clock stops while the vehicle is given back and taken again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,7 @@ class Plan:
     numbers: tuple[int, ...]
     """Numbers of the aircraft that fly."""
     schedules: dict[int, AircraftSchedule]
-    """By number, what the aircraft go through; empty without faults."""
+    """Schedule of faults by aircraft number; empty without faults."""
     until_over: bool = False
     """Whether the run ends as soon as all schedules have ended."""
     policy: bytes | None = None
@@ -88,8 +90,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--faults",
         action="store_true",
-        help="inject random faults: stalled companions, bad links, disobedient vehicles and pilots who take "
-        "over; the exit code is 1 if a rule is broken, and does not depend on the separation",
+        help="inject random faults: stalled companions, bad links, wrong answers to mode requests and "
+        "pilots who take over; the exit code is 1 if a rule is broken, and does not depend on the separation",
     )
     parser.add_argument(
         "--link", choices=KINDS, help="link of every companion (with --faults; default: each kind in turn)"
@@ -195,15 +197,15 @@ def _alone(scenario: Scenario, schedule: AircraftSchedule) -> Plan:
         raise ConfigError(
             f"--schedule: the scenario has no aircraft {number}; give the --scenario of the original run"
         )
-    duration_s = schedule.until_s + _GIVING_BACK_S
+    duration_s = schedule.until_s + _CLOCK_STOPS_S
     return Plan(scenario, schedule.seed, duration_s, (number,), {number: schedule}, until_over=True)
 
 
 def _shorten(folder: Path, plan: Plan, faults: dict[str, Any], tries: int, console: Console) -> None:
     """Search for the shortest schedule with which the first failing aircraft still breaks the same rule.
 
-    Every try is a flight of this aircraft alone, in real time. Processes do not run twice in the same way, so
-    a schedule may be left that would have failed another time; what is printed has failed.
+    Every try is a flight of this aircraft alone, in real time. Such flights are not reproducible, so a
+    shorter schedule that could fail may be discarded. The schedule that is printed did fail.
     """
     names = names_of(plan.scenario, plan.seed)
     failed = [number for number in plan.numbers if faults[names[number]]["breaches"]]
@@ -216,7 +218,7 @@ def _shorten(folder: Path, plan: Plan, faults: dict[str, Any], tries: int, conso
     def breaks(some: tuple[Fault, ...], until_s: float) -> BrokenRuleError | None:
         nonlocal tried
         tried += 1
-        # Nothing needs to happen before the first fault but that the companion flies the vehicle.
+        # Before the first fault, the companion only needs the time to take control of the vehicle.
         early_s = max(0.0, min(fault.at_s for fault in some) - FIRST_S[0])
         candidate = replace(schedule, faults=moved(some, -early_s), until_s=round(until_s - early_s, 3))
         console.print(f"shortening, try {tried} of {tries}: {len(some)} faults in {candidate.until_s:.1f} s")
@@ -292,7 +294,7 @@ def _fly(swarm: Swarm, plan: Plan, names: list[str], console: Console) -> dict[s
     except ConfigError as error:
         if not faults:
             raise
-        # In an examination this is a finding.
+        # In an examination, a process that ended by itself is a result, not an error of the run.
         interrupted, bad = False, [str(error)]
     for examination in swarm.examinations:
         examination.rest()
@@ -311,7 +313,7 @@ def _start_companion(
 ) -> Process:
     number = names_of(plan.scenario, plan.seed).index(name)
     config = choosing.with_agent(companion_config(plan.scenario, name, path, None), plan.policy, number)
-    near_m = _ANYWHERE_M if plan.schedules else config.flight.start_within_m
+    near_m = _START_WITHIN_M if plan.schedules else config.flight.start_within_m
     config = msgspec.structs.replace(
         config,
         vehicle=msgspec.structs.replace(config.vehicle, link=link),

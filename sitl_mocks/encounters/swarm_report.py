@@ -46,7 +46,7 @@ def report_of(
         folder: run folder.
         vehicles: by aircraft, the final output of its vehicle process.
         air: the final output of the ether process.
-        bad: processes that did not end well.
+        bad: processes that ended with an error.
         start_utc_s: UTC at which the paths began.
         interrupted: whether Ctrl-C interrupted the run.
     """

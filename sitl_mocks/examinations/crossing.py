@@ -38,7 +38,7 @@ class Crossing:
         self, home: LocalFrame, height_m: float, utc_at_zero_s: float, rng: np.random.Generator
     ) -> None:
         self.mean_s = _MEAN_S
-        """Mean time between other aircraft that appear by chance. With infinity none appears."""
+        """Mean time between other aircraft that appear by chance. If infinite, none appears."""
         self._home = home
         self._height_m = height_m
         self._utc_at_zero_s = utc_at_zero_s

@@ -156,7 +156,7 @@ def _set(name: str, before: Any) -> tuple[_Act, _Act]:
 
 
 def _late(world: Place, fault: Fault) -> None:
-    """Delay everything in the router. Messages that cross on the way then take longer by that time."""
+    """Delay everything in the router. The judge then allows as much more time for messages that cross."""
     world.link.weather.delay_s = fault.numbers[0]
     world.judge.crossing_s += fault.numbers[0]
 
@@ -207,7 +207,7 @@ def _modes(world: Place, fault: Fault) -> None:
 
 
 def _mission(world: World, fault: Fault) -> None:
-    """A ground station sends the vehicle to another mission item."""
+    """Send MISSION_SET_CURRENT from a ground station."""
     world.station_says("mission_set_current", 1, 1, int(fault.numbers[0]))
 
 

@@ -19,11 +19,11 @@ from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 PATIENCE_S = 1800.0
 """A flight that lasts longer than this counts as stuck."""
 SETTLED_S = 30.0
-"""Time after the last trouble within which the companion must be at work again."""
+"""Time after the last trouble within which `Flights.at_work` must hold again."""
 _ON_GROUND_S = 5.0
-_LOOKS_S = 1.0
+_PILOT_PERIOD_S = 1.0
 _FLOWN_S = 600.0
-"""Flight time after which the pilot ends a flight of a companion, because its path ends in the air."""
+"""Flight time after which the pilot returns a vehicle that the companion flies: its path ends in the air."""
 
 
 class BrokenRuleError(Exception):
@@ -87,13 +87,13 @@ class Flights(World):
             raise BrokenRuleError(breach.rule, breach.at_s, breach.words)
 
     def began(self, fault: Fault) -> None:
-        """See `World.began`. Frames that a router delays arrive after the end of the fault."""
+        """See `World.began`. The router delivers delayed frames after the fault has ended."""
         held_s = fault.numbers[0] if fault.kind == "late" else 0.0
         self.quiet_from_s = max(self.quiet_from_s, self.now_s + fault.lasts_s + held_s)
         self.told.troubles[fault.kind] = self.told.troubles.get(fault.kind, 0) + 1
 
     def restart_companion(self) -> None:
-        """See `World.restart_companion`. The companion's known state is reset."""
+        """See `World.restart_companion`. The last known state of the companion is reset."""
         super().restart_companion()
         self._state = State.STANDBY
         self._authority = self._authority and not self.vehicle.armed
@@ -104,11 +104,12 @@ class Flights(World):
         """
         state = self.onboard.core.state
         if not self.vehicle.armed:
-            # A companion that cannot hear the vehicle on the ground takes nothing in the next flight either.
+            # During a fault the companion may not notice that the vehicle is disarmed, and then it does not
+            # regain authority for the next flight.
             self._authority = self._authority or self.now_s > self.quiet_from_s
         elif self.onboard.gate.lost is not None:
-            # The ground station shows "cannot take control": a mode that the pilot selects after a fault,
-            # while the vehicle is still in the one that we requested, ends authority like any other.
+            # The companion reports "cannot take control" to the ground station. A mode that the pilot selects
+            # while the vehicle is still in the mode that we requested ends authority like any other.
             self._authority = False
         if state is self._state:
             return
@@ -123,7 +124,7 @@ class Flights(World):
 
     @property
     def at_work(self) -> bool:
-        """Whether the companion flies, or watches a mission. Must hold some time after the last trouble."""
+        """Whether the companion flies the vehicle, or watches it fly its mission."""
         on_mission = self.vehicle.mode is VehicleMode.MISSION
         return self._state in HOLDING | ({State.WATCHING} if on_mission else set())
 
@@ -134,7 +135,7 @@ class Flights(World):
         now_s, vehicle = self.now_s, self.vehicle
         if now_s < self._pilot_s:
             return
-        self._pilot_s = now_s + _LOOKS_S
+        self._pilot_s = now_s + _PILOT_PERIOD_S
         if not vehicle.armed:
             if now_s - self._armed_s > _ON_GROUND_S:
                 self._begin_flight()
@@ -148,11 +149,11 @@ class Flights(World):
             self._on_mission_s = now_s
         quiet_s = now_s - self.quiet_from_s
         if quiet_s > SETTLED_S and vehicle.landed is Landed.IN_AIR and not self.at_work:
-            self._set_right(quiet_s)
+            self._recover(quiet_s)
         if self.use == "fly" and now_s - self.flight_s > _FLOWN_S:
             self._go_home()
 
-    def _set_right(self, quiet_s: float) -> None:
+    def _recover(self, quiet_s: float) -> None:
         if not self._authority:
             self._go_home()
         elif self.vehicle.mode is not VehicleMode.MISSION:

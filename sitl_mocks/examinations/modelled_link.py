@@ -1,8 +1,9 @@
 """Model in virtual time of the link between vehicle and companion, with the effects of a kernel and a router.
 
-Down (to the companion), frames pass a router, which may delay them, into the kernel's buffer, from
-which the companion's reader takes portions. Up, a stream accepts no further data until the previous data has
-left. The figures were measured on Linux 6.18 (loopback, default buffers).
+"Down" is from the vehicle to the companion: a router, which may delay frames, passes them to the kernel's
+buffer, and the companion's reader takes portions from there. "Up" is the other direction: a stream accepts no
+further data until the previous data has left. The figures were measured on Linux 6.18 (loopback, default
+buffers).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ Kind = Literal["udp", "tcp", "pty"]
 KINDS: Final[tuple[Kind, ...]] = ("udp", "tcp", "pty")
 
 _BUFFER_BYTES: Final = {"udp": 212_992, "tcp": 3_990_216, "pty": 19_712}
-"""Bytes that the kernel holds for a reader that does not read. UDP includes its own overhead."""
+"""Bytes that the kernel holds for a reader that does not read. For UDP with the overhead of each datagram."""
 _PORTION_BYTES: Final = {"tcp": 65_536, "pty": 4_095}
 """Greatest number of bytes that one read returns."""
 _PORTION_DATAGRAMS = 64
@@ -44,8 +45,9 @@ class Weather:
     delay_s: float = 0.0
     """Delay that the router adds in the down direction."""
     duplicate: float = 0.0
+    """Probability that a datagram arrives a second time, up to 0.1 s later."""
     reorder: float = 0.0
-    """Probability that a datagram is delayed by up to 0.1 s more than the next one."""
+    """Probability that a datagram is delayed by up to 0.1 s, so that later ones may overtake it."""
     rate_bps: float = math.inf
     """Data rate in bits per second: down, and also up if the link is a stream."""
     down_stands: bool = False
@@ -82,9 +84,9 @@ class ModelledLink:
         self._buffered = buffered
         self._count = 0
         self._way: list[tuple[float, int, float, tuple[bytes, ...]]] = []
-        """Down: time of arrival, a number, time of sending, frames."""
+        """Down: time of arrival, a number that breaks ties, time of sending, frames."""
         self._held: list[tuple[float, tuple[bytes, ...]]] = []
-        """Down: time of sending and frames that wait on a blocked stream."""
+        """Down: time of sending, and frames that wait on a blocked stream."""
         self._free_s = self._up_free_s = -math.inf
         """Time until which each direction of a slow link is busy."""
         self._buffer: deque[bytes] = deque()
@@ -94,7 +96,7 @@ class ModelledLink:
         self._up: deque[tuple[float, float, bytes]] = deque()
         """Up: time of arrival, time of decision, bytes."""
         self._up_held: tuple[float, float, bytes] | None = None
-        """Up: data in the kernel on a blocked stream: time of sending, time of decision, bytes."""
+        """Up: time of sending, time of decision and bytes of the data that waits on a blocked stream."""
 
     # ------------------------------------------------------------ down
 
@@ -142,7 +144,7 @@ class ModelledLink:
         return self._count
 
     def _release(self, now_s: float) -> None:
-        """Move frames on that were blocked or are due."""
+        """Forward frames that are no longer blocked or are due."""
         if self._held and not self.weather.down_stands:
             held, self._held = self._held, []
             for sent_s, frames in held:
@@ -152,7 +154,7 @@ class ModelledLink:
             self._arrive(sent_s, frames)
 
     def hurry(self, now_s: float) -> None:
-        """End the slowness of a link: data that is under way arrives now."""
+        """Restore the full data rate: data that is under way arrives now."""
         self._way = [(min(at_s, now_s), number, sent_s, frames) for at_s, number, sent_s, frames in self._way]
         self._way.sort(key=lambda item: item[1])
         self._up = deque((min(at_s, now_s), decided_s, data) for at_s, decided_s, data in self._up)
@@ -232,7 +234,7 @@ class ModelledLink:
             return
         gone_s = max(self._up_free_s, now_s) + len(data) * _BITS_PER_BYTE / weather.rate_bps
         if gone_s - now_s > LATE_S:
-            return  # Discarded before it has left.
+            return  # The companion discards data that cannot leave in time.
         self._up_free_s = gone_s
         self._up.append((gone_s, decided_s, data))
 

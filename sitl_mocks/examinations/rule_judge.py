@@ -186,17 +186,17 @@ class Judge:
         return self._mode == self._bounds.external or (self._ours and self._mode not in self._bounds.given)
 
     def selects(self, now_s: float, custom_mode: int) -> None:
-        """The pilot selects a mode that the vehicle will accept. Call `shows`, then `accepted` afterwards."""
+        """Report that the pilot selects a mode. If the vehicle accepts it, call `shows`, then `accepted`."""
         self._selected = now_s, custom_mode
 
     def accepted(self, now_s: float) -> None:
-        """The vehicle has shown its mode after an accepted choice. Checks whether the mode was entered."""
+        """Judge whether the vehicle, which accepted the choice and has shown its mode, entered that mode."""
         if self._selected is not None and self._mode != self._selected[1]:
             self._breach(now_s, "refused", f"mode {self._selected[1]} was accepted but not entered")
         self._selected = None
 
     def declined(self) -> None:
-        """The vehicle has not accepted the choice."""
+        """Report that the vehicle has not accepted the choice."""
         self._selected = None
 
     def shows(self, now_s: float, custom_mode: int, *, armed: bool) -> None:
@@ -226,7 +226,7 @@ class Judge:
             return PILOTS
         if any(m == custom_mode and now_s - at <= self._cause_s for at, m in self._reached):
             return "ours"
-        # Setpoints that resume end a failsafe of PX4, so only we can cause a change to this mode.
+        # Setpoints that resume end PX4's failsafe for their loss, so only we can cause a change to this mode.
         return "ours" if custom_mode == self._bounds.external else "the vehicle's"
 
     def _choose(self, now_s: float, custom_mode: int, whose: str, *, held: bool) -> None:
@@ -265,7 +265,7 @@ class Judge:
     # ------------------------------------------------------------ what the companion can know
 
     def reads(self, now_s: float, told: Iterable[tuple[float, bytes]]) -> None:
-        """The companion runs and can read these frames, now at the latest.
+        """Report that the companion runs and can read these frames, now at the latest.
 
         Args:
             told: time at which each frame left the vehicle, and its bytes; only frames that really wait to be
@@ -285,9 +285,9 @@ class Judge:
                 self._note_shown(now_s, sent_s, int.from_bytes(payload, "little"))
 
     def stops(self, now_s: float) -> None:
-        """The companion stands still from now on. It reads what it may not have read yet when it resumes.
+        """Report that the companion stands still from now on.
 
-        Pass those frames to `reads` again at that time.
+        When it resumes, pass the frames that it may not have read yet to `reads` again.
         """
         if not now_s < self._gone_s < math.inf:
             return

@@ -1,4 +1,4 @@
-"""Schedules of examinations as JSON files: what broke a rule is written, and flown again with --schedule."""
+"""Schedules of examinations as JSON files. --schedule flies a schedule that broke a rule again."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class _Search:
                 return
 
     def last_few(self) -> None:
-        """Try the last few entries alone, because they are mostly enough."""
+        """Try the last few entries alone, because they mostly suffice."""
         for count in (1, 2, 4, 8):
             last = sorted(self.faults, key=lambda fault: fault.at_s)[-count:]
             if len(last) < len(self.faults) and self.keeps(tuple(last)):

@@ -3,8 +3,8 @@
 One vehicle flies its mission again and again with a companion that guards or flies it, and other aircraft
 cross its path. Links, navigation, autopilot, pilot, companion and radio fail at random. The rules are checked
 on the bytes that cross the link (`rule_judge`), not on the companion's own reports. The faults are a schedule
-that is drawn in
-advance: a seed determines everything, and a schedule that breaks a rule is shortened as far as possible.
+that is drawn in advance: a seed determines everything, and a schedule that breaks a rule is shortened as far
+as possible.
 """
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ class World:
         self._stands, self._stopped_in_step = (self.now_s, until_s), in_step
 
     def restart_companion(self) -> None:
-        """Start the companion anew, in flight or on the ground."""
+        """Start the companion again, in flight or on the ground."""
         self.onboard = new_companion(self.use)
         self.link.clear()
 

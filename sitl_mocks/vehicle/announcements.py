@@ -1,4 +1,4 @@
-"""What the mock vehicle tells on all links without being asked: changes of its state, its status, texts."""
+"""Unrequested messages of the mock vehicle on all links: changes of its state, its status, texts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _EPSILON_S = 1e-9
 
 
 class Announcer:
-    """Tells all links what has changed since the last call of `tell_changes`."""
+    """Sends on all links what has changed since the last call of `tell_changes`."""
 
     def __init__(
         self,
@@ -40,7 +40,7 @@ class Announcer:
         self._status_s = -math.inf
 
     def tell_changes(self, now_s: float) -> None:
-        """Tell everything that a step or a message has changed."""
+        """Send everything that a step or a message has changed."""
         flight, runner = self._flight, self._flight.runner
         if flight.mode is not self._shown_mode:
             self._tell_mode_left(self._shown_mode, now_s)

@@ -31,7 +31,7 @@ LATE_S = 0.012
 
 
 def told(result: int, answers: Answers) -> int | None:
-    """The result with which the vehicle answers a command that had this result; None: it does not answer."""
+    """The result to acknowledge for a command that had `result` (see `Answers`); None: no acknowledgement."""
     if result != ACCEPTED or answers in ("right", "disobeyed"):
         return result
     return None if answers == "unanswered" else FAILED

@@ -1,4 +1,4 @@
-"""All links of one mock vehicle: what goes to every link, and which frames go on from one link to another."""
+"""All links of one mock vehicle, and the forwarding of frames from one link to another."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class LinkSet(dict[int, Link]):
 
     Args:
         address: system and component id of the vehicle.
-        manners: says which message streams a link has that was just opened.
+        manners: behaviour of the firmware, which gives the message streams of a fresh link.
     """
 
     def __init__(self, address: tuple[int, int], manners: Manners, signing: Signing | None) -> None:

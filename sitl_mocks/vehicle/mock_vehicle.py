@@ -103,10 +103,10 @@ class MockVehicle:
             listed=self._manners.adsb_listed,
         )
         self.sensor: Sensor | None = None
-        """Sees obstacles. Its random errors do not change those of the navigation."""
+        """Sensor for obstacles. It has a random generator of its own, apart from the navigation errors."""
         if options.sensor is not None:
-            luck = rng.spawn(1)[0]
-            self.sensor = Sensor(options.sensor, options.obstacles, home, luck, options.system_id)
+            sensor_rng = rng.spawn(1)[0]
+            self.sensor = Sensor(options.sensor, options.obstacles, home, sensor_rng, options.system_id)
         self._boot(options, start_s, boot_s=-options.boot_time_offset_s)
         self.open_link(0)
 
@@ -340,7 +340,7 @@ class MockVehicle:
         return self.sensor.sectors(at_s, self.position_ned_m, self._telemetry.attitude_rad())
 
     def _after_change(self) -> None:
-        """Tell everything that a step or a message has changed."""
+        """Send everything that a step or a message has changed."""
         self._announcer.tell_changes(self.now_s)
 
     def _remote_id_refusal(self, now_s: float) -> str | None:

@@ -64,8 +64,9 @@ class VehicleOptions:
     sensor: SensorOptions | None = None
     """A sensor aboard that sees obstacles and other aircraft; None: there is none."""
     obstacles: tuple[Obstacle, ...] = ()
-    """What stands and flies around, sends nothing, and may be seen. Nothing stops a vehicle that flies into
-    it."""
+    """Obstacles and aircraft that transmit nothing, for `sensor`. Vehicles fly through them, because
+    collisions are not simulated.
+    """
 
     boot_time_offset_s: float = 120.0
     """Reading of the vehicle's own clock at now_s = 0."""

@@ -1,9 +1,9 @@
 """A sensor aboard the mock vehicle that sees poles, walls and aircraft, and reports them over MAVLink.
 
-It is a component of its own on the vehicle's system, whose frames the autopilot sends on, or it is wired to
-an ArduPilot, which reports it itself, in eight sectors. It sees within a range and a field of view, with
-errors, and misses things now and then. It is not stabilised: when the vehicle leans, its plane leans, too,
-and meets the ground. Things do not hide each other, except in the sectors of a scan.
+The sensor is either a MAVLink component of the vehicle's system, whose frames the autopilot forwards, or it
+is wired to an ArduPilot, which reports its distances in eight sectors. It sees within a range and a field of
+view, with errors, and misses some obstacles at random. It is not stabilised: when the vehicle leans, its
+plane leans too and meets the ground. Obstacles do not hide each other, except in the sectors of a scan.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ COMPONENT: Final = 196
 AUTOPILOT: Final = 1
 SECTORS: Final = 72
 WIRED_SECTORS: Final = 8
-"""Sectors of 45 degrees by which ArduPilot reports a sensor that is wired to it."""
+"""Number of sectors of 45 degrees in which ArduPilot reports a sensor that is wired to it."""
 _WALL_STEP_M: Final = 1.0
 _POINTS_APART_M: Final = 3.0
 _POINT_HEIGHTS_M: Final = (-4.0, -2.0, 0.0, 2.0, 4.0)
@@ -57,7 +57,11 @@ class Obstacle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Height above home of the top of a pole or wall."""
 
     def __post_init__(self) -> None:
-        """Check what belongs together."""
+        """Check that the fields fit the kind, and that all numbers are finite.
+
+        Raises:
+            ValueError: with the field and what is allowed.
+        """
         if (self.kind == "wall") != (self.to_ned_m is not None):
             raise ValueError(f"to_ned_m: needed by a wall, and by nothing else; this is a {self.kind}")
         if self.kind != "aircraft" and any(self.velocity_ned_mps):
@@ -91,7 +95,7 @@ class SensorOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     message: Literal["scan", "points", "tracks", "proximity"] = "scan"
     """scan: OBSTACLE_DISTANCE. points: OBSTACLE_DISTANCE_3D. tracks: ADSB_VEHICLE, with velocities.
-    proximity: DISTANCE_SENSOR of an ArduPilot to which the sensor is wired; `step_deg` plays no part."""
+    proximity: DISTANCE_SENSOR of an ArduPilot to which the sensor is wired; `step_deg` is not used."""
     range_m: Annotated[float, Meta(ge=1, le=600)] = 40.0
     fov_deg: Annotated[float, Meta(gt=0, le=360)] = 360.0
     """Horizontal field of view, centred on the nose."""
@@ -102,7 +106,7 @@ class SensorOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     rate_hz: Annotated[float, Meta(ge=0.5, le=50)] = 10.0
     range_sigma_m: Annotated[float, Meta(ge=0, le=10)] = 0.1
     bearing_sigma_deg: Annotated[float, Meta(ge=0, le=20)] = 0.5
-    """Error of its mounting, drawn once."""
+    """Standard deviation of the error of its mounting, which is drawn once."""
     miss: Annotated[float, Meta(ge=0, le=1)] = 0.02
     """Share of measurements in which an obstacle is missed."""
 
@@ -123,16 +127,16 @@ class Sensor:
         system_id: int,
     ) -> None:
         self.others: list[tuple[Vec3, Vec3]] = []
-        """Positions and velocities (NED) of other aircraft that it may see."""
+        """Positions (m) and velocities (m/s), NED, of other aircraft that it may see."""
         self._options = options
         self._obstacles = tuple(obstacles)
         self._home = home
         self._rng = rng
-        self._turned_rad = math.radians(options.bearing_sigma_deg) * float(rng.standard_normal())
+        self._mounting_error_rad = math.radians(options.bearing_sigma_deg) * float(rng.standard_normal())
         self._most_sine = math.sin(math.radians(0.5 * options.vertical_deg))
         self._most_angle = math.radians(0.5 * options.fov_deg)
         self._next_s = -math.inf
-        self._ever: set[int] = set()
+        self._seen_sectors: set[int] = set()
         """Sectors of DISTANCE_SENSOR that have seen something."""
         self._writer = MavlinkWriter(system_id, AUTOPILOT if options.message == "proximity" else COMPONENT)
 
@@ -141,13 +145,13 @@ class Sensor:
 
         Args:
             position: true position (NED, m), from which it sees.
-            believed: position that the vehicle believes, from which tracks are placed.
+            believed: estimated position (NED, m), relative to which tracks are reported.
         """
         if self._options.message == "proximity" or now_s < self._next_s - _EPSILON_S:
             return []
         self._next_s = now_s + 1.0 / self._options.rate_hz
         roll, pitch, yaw = attitude
-        rows = _rows(roll, pitch, yaw + self._turned_rad)
+        rows = _rows(roll, pitch, yaw + self._mounting_error_rad)
         if self._options.message == "scan":
             messages = [self._scan(now_s, position, rows)]
         elif self._options.message == "points":
@@ -157,9 +161,9 @@ class Sensor:
         return [self._writer.pack(message) for message in messages]
 
     def sectors(self, now_s: float, position: Vec3, attitude: Attitude) -> list[MavlinkMessage]:
-        """The burst of DISTANCE_SENSOR by which ArduPilot reports a sensor that is wired to it: the nearest
+        """The DISTANCE_SENSOR messages by which ArduPilot reports a sensor that is wired to it: the nearest
         distance in each sector. A sector that sees nothing has the greatest distance if it ever saw
-        something, and is left out otherwise. While none sees anything, there is no message at all.
+        something, and is left out otherwise. While no sector sees anything, there is no message.
 
         Args:
             position: true position (NED, m), from which it sees.
@@ -168,10 +172,10 @@ class Sensor:
         if options.message != "proximity":
             return []
         roll, pitch, yaw = attitude
-        rows = _rows(roll, pitch, yaw + self._turned_rad)
+        rows = _rows(roll, pitch, yaw + self._mounting_error_rad)
         nearest = self._nearest(now_s, position, rows, WIRED_SECTORS)
         valid = {number for number, distance in enumerate(nearest) if distance <= options.range_m}
-        self._ever |= valid
+        self._seen_sectors |= valid
         most = round(100.0 * options.range_m)
         return [
             mavlink.MAVLink_distance_sensor_message(
@@ -179,7 +183,7 @@ class Sensor:
                 max(1, round(100.0 * (nearest[number] + self._noise()))) if number in valid else most,
                 mavlink.MAV_DISTANCE_SENSOR_LASER, 10 + number, number, 0,
             )
-            for number in sorted(self._ever)
+            for number in sorted(self._seen_sectors)
             if valid
         ]  # fmt: skip
 
@@ -197,7 +201,7 @@ class Sensor:
         return float(self._rng.random()) < self._options.miss
 
     def _shapes(self, now_s: float, position: Vec3, rows: _Rows) -> Iterator[tuple[list[Vec3], float, Vec3]]:
-        """For each obstacle: its visible places (NED, m), their radius, and its velocity."""
+        """For each obstacle and aircraft: points that represent it (NED, m), their radius, its velocity."""
         for one in self._obstacles:
             n, e, d = one.place(now_s)
             if one.kind == "aircraft":
@@ -221,7 +225,7 @@ class Sensor:
     def _sees(
         self, place: Vec3, position: Vec3, rows: _Rows, radius: float
     ) -> tuple[float, float, Vec3] | None:
-        """Distance, angle and place along the body's axes of what is seen there; None: it is not seen."""
+        """Distance to the surface (m), bearing (rad), body-frame position (m) of a point; None: not seen."""
         n, e, d = place[0] - position[0], place[1] - position[1], place[2] - position[2]
         distance = math.sqrt(n * n + e * e + d * d)
         if not radius < distance <= self._options.range_m + radius:
@@ -261,7 +265,7 @@ class Sensor:
     def _nearest(
         self, now_s: float, position: Vec3, rows: _Rows, count: int, step: float = math.tau / WIRED_SECTORS
     ) -> list[float]:
-        """Distance to the nearest thing in each of `count` sectors that are `step` rad wide."""
+        """Distance to the nearest surface in each of `count` sectors that are `step` rad wide."""
         nearest = [self._ground(number * step, position, rows) for number in range(count)]
         for places, radius, _ in self._shapes(now_s, position, rows):
             if self._missed():
@@ -284,13 +288,12 @@ class Sensor:
 
     def _points(self, now_s: float, position: Vec3, rows: _Rows) -> list[MavlinkMessage]:
         found: list[tuple[float, Vec3]] = []
-        for places, radius, _ in self._shapes(now_s, position, rows):
+        for places, _, _ in self._shapes(now_s, position, rows):
             if self._missed():
                 continue
             every = max(1, round(_POINTS_APART_M / _WALL_STEP_M))
-            standing = len(places) > 1 or radius <= 0.5
             for n, e, d in places[::every]:
-                for high in _POINT_HEIGHTS_M if standing and len(places) > 1 else (0.0,):
+                for high in _POINT_HEIGHTS_M if len(places) > 1 else (0.0,):
                     seen = self._sees((n, e, d + high), position, rows, 0.0)
                     if seen is not None:
                         found.append((seen[0], seen[2]))
@@ -353,10 +356,10 @@ def _rows(roll: float, pitch: float, yaw: float) -> _Rows:
 
 
 def _meets(foot: tuple[float, float], position: Vec3, rows: _Rows, top: float) -> float:
-    """NED down of the part of something upright that the sensor's plane meets, or that is nearest to it.
+    """NED down of the point of an upright obstacle that the sensor's plane meets, or that is nearest to it.
 
     Args:
-        top: NED down of its top; it stands on the ground, 0.
+        top: NED down of its top. Its foot is on the ground, at 0.
     """
     a, b = foot[0] - position[0], foot[1] - position[1]
     normal = (rows[0][2], rows[1][2], rows[2][2])  # the body's down axis

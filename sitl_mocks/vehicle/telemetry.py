@@ -135,12 +135,12 @@ class Telemetry:
         return round((now_s - self.boot_s) * 1e9)
 
     def position_ned_m(self) -> Vec3:
-        """Position that the vehicle believes: true position plus navigation error (NED, m)."""
+        """Estimated position: true position plus navigation error (NED, m)."""
         body, error = self._flight.body, self._errors.errors
         return body.north + error[0], body.east + error[1], body.down + error[2]
 
     def velocity_ned_mps(self) -> Vec3:
-        """Velocity that the vehicle believes: true velocity plus navigation error (NED, m/s)."""
+        """Estimated velocity: true velocity plus navigation error (NED, m/s)."""
         body, error = self._flight.body, self._errors.errors
         return body.vn + error[3], body.ve + error[4], body.vd + error[5]
 
@@ -267,7 +267,7 @@ class Telemetry:
         return math.atan2(right, _GRAVITY), -math.atan2(forward, _GRAVITY), body.yaw
 
     def pose(self) -> tuple[Vec3, Vec3]:
-        """Position that the vehicle believes (NED, m), and roll, pitch and yaw."""
+        """Estimated position (NED, m), and roll, pitch and yaw (rad)."""
         return self.position_ned_m(), self.attitude_rad()
 
     def _attitude(self, now_s: float) -> Payload:

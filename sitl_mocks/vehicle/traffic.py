@@ -1,16 +1,17 @@
-"""Crewed aircraft that the mock vehicle's ADS-B receiver hears, and how its autopilot reports them and what
-other components report to it.
+"""ADSB_VEHICLE messages of the mock vehicle: crewed aircraft that its receiver hears, and reports of others.
 
-Every flight is straight, and the receiver reports it once a second. The autopilots' behaviour was read in the
-firmwares' sources. ArduPilot keeps a list of aircraft. It sends one aircraft per interval of the stream and
-restarts the list once a second. For 5 s it repeats the last report of an aircraft that is no longer heard,
-with `tslc` unchanged. PX4 forwards each report once, with only the first six flags.
+Reports of other components of the vehicle are sent as the autopilot's own (`Traffic.take`). Every flight is
+straight, and the receiver reports it once a second. The autopilots' behaviour was read in the firmwares'
+sources. ArduPilot keeps a list of aircraft. It sends one aircraft per interval of the stream and restarts the
+list once a second. For 5 s it repeats the last report of an aircraft that is no longer heard, with `tslc`
+unchanged. PX4 forwards each report once, with only the first six flags.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from copy import copy
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -93,19 +94,19 @@ class Traffic:
         """The latest ADSB_VEHICLE messages of others that the autopilot used. It reports them as its own."""
         self._taken = 0
         self._echoed: dict[int, int] = {}
-        """Link -> number of those messages when it was last sent any."""
+        """Link -> number of messages taken up to when it was last sent any."""
         self._passed: dict[tuple[int, int], float] = {}
         """Link and ICAO address -> time of the report that was forwarded last."""
 
     def receive(self, message: MavlinkMessage) -> None:
-        """Take a report of another component. ArduPilot uses it only with a receiver, PX4 always."""
+        """Keep a report of another component, to be sent as our own. The caller decides whether to use it."""
         self.taken.append(message)
         self._taken += 1
 
     def _echo(self, link: int) -> list[MavlinkMessage]:
         new = min(self._taken - self._echoed.get(link, 0), len(self.taken))
         self._echoed[link] = self._taken
-        messages = list(self.taken)[len(self.taken) - new :]
+        messages = [copy(message) for message in list(self.taken)[len(self.taken) - new :]]
         for message in messages:
             message.flags &= 0xFFFF if self._listed else _PASSED_ON
         return messages

@@ -37,7 +37,7 @@ _OWN_MODES = frozenset(VehicleMode) - {VehicleMode.MANUAL, VehicleMode.EXTERNAL}
 _OVERRIDES_OWN, _OVERRIDES_EXTERNAL = 1, 2
 _ALL_FENCES = _MAX_HEIGHT | _CIRCLE | _POLYGON
 Answers = Literal["right", "disobeyed", "unanswered", "denied"]
-"""What the vehicle makes of the mode requests of a computer aboard, which has the vehicle's system id.
+"""How the vehicle handles mode requests of a companion computer, which has the vehicle's system id.
 "disobeyed": acknowledged but not carried out. "unanswered": carried out but not acknowledged. "denied":
 carried out but answered with a refusal.
 """

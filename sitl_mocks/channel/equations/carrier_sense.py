@@ -10,15 +10,14 @@ the equations distinguish the stations k that reach the receiver i of a link fro
 
       survival = exp(-u_i v(u)),    v(u) = 2 c u / (1 - u + sqrt((1 - u)^2 + 4 a c u^2)).
 
-u v(u) is the mean number of others that begin together with j: c u^2 / (1 - u) while there is time for all,
-(u - 1) / a when there is not. In the latter case all beacons are still sent, several at a time.
+u v(u) is the mean number of others that begin together with j: about c u^2 / (1 - u) for a load u well below
+1, and (u - 1) / a well above 1. In the latter case all beacons are still sent, several at a time.
 
 The paper's factors for an auxiliary packet of BLE 5 draw its channel anew for each beacon that it may meet.
-In fact it lies on one channel, and 28 of 37 are free of any Wi-Fi channel (`log_auxiliary_under_wifi`).
+In fact the packet has one channel, and no Wi-Fi channel covers 28 of the 37 (`log_auxiliary_under_wifi`).
 
-The beacon waits, W = w (B_D + h) v(u), and its interval runs on past a GNSS sample. A receiver's scan
-therefore meets it after the same number of beacons again and again (`running_terms`), until the waits blur
-that pattern (`blur`).
+A beacon waits for W = w (B_D + h) v(u) on average, and beacon intervals do not restart at GNSS samples. A
+receiver's scan therefore meets beacons in a regular pattern (`running_terms`), which the waits blur (`blur`).
 
 c, a, h, w and the blur are fitted to the packet-level simulator (docs/channel.md).
 """
@@ -53,7 +52,7 @@ GAP_MS: Final = 0.092
 WAIT: Final = 16.5
 """w: wait, in beacon lengths, for each other station that begins with this one; half of CWmin + 2."""
 BLUR: Final = 10.7
-"""Waits of a scan cycle divided by this number halve the regularity with which scans meet beacons."""
+"""A mean wait of one scan cycle / BLUR halves the regularity with which scans meet beacons (`blur`)."""
 
 _BLE5, _WIFI = MODES.index(BLE5), MODES.index(WIFI_BEACON)
 _NOTHING = 1e-300

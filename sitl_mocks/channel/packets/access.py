@@ -7,7 +7,7 @@ countdown stops while the medium is busy and continues after the next DIFS. Stat
 together collide, and so do stations that do not hear each other.
 
 Not modelled: the few microseconds needed to notice a transmission and to switch from listening to sending;
-the longer wait (EIFS) after a frame that a collision made illegible; waiting for Bluetooth or for foreign
+the longer wait (EIFS) after a frame that a collision made undecodable; waiting for Bluetooth or for foreign
 transmissions. A station senses the channel on which it sends, at all times.
 """
 

@@ -4,18 +4,18 @@ Every frame is placed on the time line as its packets, at the time at which its 
 on their own clocks, a radio that sends does not receive, and packets that overlap are lost. Wi-Fi stations
 listen before they send (see `packets.access`).
 
-When is an outcome certain? No frame is sent before the time of an earlier call, and no packet begins before
+When an outcome is certain: no frame is sent before the time of an earlier call, and no packet begins before
 its frame is sent. So at `settle(now_s)` every packet that may still come begins at or after `now_s`. Access
 to the medium until then is decided, and no later packet overlaps an event that has ended. An event that has
 ended is therefore decided for good, together with exactly those events that share some of its time. Deciding
 draws no random numbers. This holds in lock-step too, where the frames of a tick are sent after the air was
 settled at that tick: they begin at or after it.
 
-When does a radio send? At its own time. Companions hand frames over at ticks. In lock-step all companions do
-so at the same ticks, and processes of one machine share its clock. Radios of aircraft have schedules of their
-own, which drift against each other by clock errors and, on Bluetooth, by the random delays R_D, which
-accumulate. Without that drift, two aircraft that once send at the same time would do so forever and never
-receive each other.
+When a radio sends: each radio sends at its own time. Companions hand frames over at ticks. In lock-step all
+companions do so at the same ticks, and processes of one machine share its clock. Radios of aircraft have
+schedules of their own, which drift against each other by clock errors and, on Bluetooth, by the random delays
+R_D, which accumulate. Without that drift, two aircraft that once send at the same time would do so forever
+and never receive each other.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class Result:
     """Shape (nodes, nodes, 3): number of hearable packets lost to other packets or foreign transmissions."""
 
     def arrival_s(self) -> Floats:
-        """Arrival time of each event's message (s), shape (events, nodes); NaN if lost. May be large."""
+        """Arrival time of each event's message (s), shape (events, nodes); NaN if lost. Can be large."""
         times = np.full((len(self.transmitter), len(self.first_sample_s)), np.nan)
         times[self.heard_event, self.heard_by] = self.heard_s
         return times

@@ -237,7 +237,7 @@ class TcpEnd(_StreamEnd):
     """A TCP server for one companion; a new connection replaces the one before.
 
     While the up direction is blocked, every segment of the companion is lost: data, acknowledgements,
-    requests to connect, and resets. When the companion gives its connection up, this end does not learn it:
+    requests to connect, and resets. When the companion closes its connection, this end does not notice:
     the connection is half-open. A slow stream is read slowly, so the companion's kernel keeps the rest.
     """
 
@@ -275,7 +275,7 @@ class TcpEnd(_StreamEnd):
 
     @property
     def confirms(self) -> bool:
-        """See `End`: without acknowledgements nothing is known of what was sent."""
+        """See `End`. Without acknowledgements it is not known whether sent data arrived."""
         return not self._deaf
 
     def read(self, now_s: float, weather: Weather) -> list[Left]:
@@ -305,7 +305,7 @@ class TcpEnd(_StreamEnd):
             return []
         self._credit_bytes = max(0.0, self._credit_bytes - len(data))
         self._known = max(0, waiting - len(data))
-        if len(data) > waiting:  # More has come since it was counted.
+        if len(data) > waiting:  # More data has arrived since it was counted.
             self._waiting.add(len(data) - waiting, now_s)
         return [Left(since_s, now_s - since_s, data)]
 

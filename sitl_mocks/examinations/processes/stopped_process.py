@@ -15,7 +15,7 @@ _AROUND_S: Final = (1.5, 0.25)
 
 
 class StoppedProcess:
-    """A process, leader of its process group, or none as long as `child` is None."""
+    """The leader of a process group. There is no process as long as `child` is None."""
 
     def __init__(self) -> None:
         self.child: subprocess.Popen[str] | None = None
@@ -32,7 +32,7 @@ class StoppedProcess:
 
     @property
     def still_runs(self) -> bool:
-        """Whether the process has not ended, and has not come to a stop yet."""
+        """Whether the process has neither ended nor stopped yet."""
         return self.child is not None and self.child.poll() is None and state_of(self.child.pid) not in "Tt"
 
     def _send(self, number: signal.Signals) -> bool:
@@ -54,8 +54,8 @@ class StoppedProcess:
         self._waited.append((now_s, 1e-9 * waited_ns))
 
     def waited_s(self, at_s: float) -> float:
-        """Time that the threads waited for a processor around a moment. If long, the machine is the cause of
-        what happened then.
+        """Time that the threads waited for a processor around a moment. If it is long, the load of the
+        machine caused what happened then.
         """
         before, after = _AROUND_S
         around = [waited for t, waited in self._waited if at_s - before <= t <= at_s + after]

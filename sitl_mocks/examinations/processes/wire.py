@@ -68,7 +68,7 @@ class Wire:
         """Longest time that a datagram waited for the router."""
         self._decisions = Decisions()
         self._drops = 0
-        self._loses = False
+        self._was_full = False
         """Whether the companion's buffer was full at the last check."""
         self._shown = shown
         self._passed = passed
@@ -183,7 +183,7 @@ class Wire:
         count of drops takes time. It is read once for a few frames, and around each watched frame if there
         are many or if some were lost the last time.
         """
-        singly = self._loses or len(news) > _FEW
+        singly = self._was_full or len(news) > _FEW
         told = []
         for sent_s, frame in news:
             watched = _is_watched(frame)
@@ -202,7 +202,7 @@ class Wire:
         """Number of datagrams dropped since the last call."""
         before, self._drops = self._drops, self._end.kernel_drops()
         lost = max(0, self._drops - before)
-        self._loses = lost > 0
+        self._was_full = lost > 0
         self.dropped += lost
         return lost
 
@@ -218,8 +218,8 @@ class Wire:
         whole = b"".join(frame.raw for frame in frames)
         self.judge.leaves(left.at_s, whole)
         if self.way.weather.up_stands and self.kind != "tcp":
-            return  # A TCP end loses the segments themselves.
-        # The companion does not answer for the time that the far end took to read.
+            return  # A TCP end drops the segments itself (`TcpEnd`).
+        # The time that the far end took to read is not the companion's delay.
         decided_s = self._decisions.decided_s(left.at_s, frames) + left.waited_s
         self.judge.reaches(left.at_s + left.waited_s, whole, decided_s)
         if self._passed is not None:

@@ -48,7 +48,7 @@ _GIVEN_TIMES = 3
 ends authority.
 """
 _HELD_S = 0.4
-"""Setpoints must stream for this long before a round begins."""
+"""Time for which setpoints must stream before a round begins."""
 _STREAMS_S = 0.2
 _STOPS_S = 2.0
 
@@ -186,7 +186,7 @@ class Examination:
     def _row(self, breach: Breach) -> dict[str, Any]:
         at_s = breach.at_s - self._begins_s
         before = [done for done in self.done if done.at_s <= at_s]
-        # Since the last fault, unless it gave the vehicle back, the schedule's clock has not stood still.
+        # The schedule's clock has run since the last fault, unless that fault gave the vehicle back.
         clock_s = at_s if not before else before[-1].fault.at_s + at_s - before[-1].at_s
         return {
             "at_s": round(at_s, 3),
@@ -305,7 +305,7 @@ class Examination:
             while not self._ends.is_set():
                 self._pump(_PUMP_S)
         except Exception as error:
-            # Nobody else sees an error of this thread. Unreported, it would read as "no rule broken".
+            # No other code sees an error of this thread. Unreported, it would look like "no rule broken".
             self.trouble = f"{type(error).__name__}: {error}"
         finally:
             self._resting.set()
@@ -360,8 +360,8 @@ class Examination:
         while self._lasting and self._lasting[0][0] <= now_s:
             end_outside(self, heapq.heappop(self._lasting)[2])
         soon_s = min(now_s + for_s, self._continue_s or math.inf)
-        # Read the pilot's link first: everything on it was sent after what the vehicle had then sent to the
-        # companion.
+        # Read the pilot's link first. What the vehicle sent to the companion before it answered the pilot is
+        # then read in the same turn.
         self._pilot.hear()
         self._wire.pump(max(0.0, soon_s - now_s))
         self._companion.note_waiting(now_s)

@@ -1,4 +1,4 @@
-"""What a swarm under faults goes through: each aircraft's link and schedule of faults, drawn from a seed."""
+"""Schedules of a swarm under faults: each aircraft's link and its faults, drawn from a seed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sitl_mocks.examinations.modelled_link import Kind
 from sitl_mocks.examinations.takeover.cases import PILOTS, TROUBLES
 
 GIVEN_BACK: Final = "given back"
-"""Kind of event: disarmed and armed again in the air, by which a pilot gives authority anew."""
+"""Kind of event: disarming and arming in the air, by which a pilot gives authority again."""
 _OTHERS: Final = (*(kind for kind in TROUBLES if kind != "stall"), "link")
 _DATAGRAMS_ONLY: Final = ("duplicate", "reorder")
 _ANSWERS: Final = ("disobeyed", "unanswered", "denied")
@@ -32,7 +32,7 @@ _BETWEEN_S: Final = (0.5, 4.0)
 
 @dataclass(frozen=True, slots=True)
 class AircraftSchedule:
-    """What one aircraft of a swarm goes through."""
+    """Link and schedule of faults of one aircraft of a swarm."""
 
     seed: int
     """Seed of the swarm, which also draws the paths and the impairments of the link."""
@@ -83,7 +83,7 @@ def schedule_of(seed: int, number: int, duration_s: float, link: Kind = "udp") -
 def _round(
     given_s: float, begins_s: float, link: Kind, rng: np.random.Generator
 ) -> tuple[list[Fault], float]:
-    """Draw one trouble, mostly with a stall, and a pilot around it; and the time when all is over."""
+    """Draw one trouble, mostly with a stall, and a pilot around it. Returns their faults and end time."""
     others = [kind for kind in _OTHERS if link == "udp" or kind not in _DATAGRAMS_ONLY]
     trouble = "stall" if rng.random() < 0.5 else str(rng.choice(others))
     lasts_s = float(np.exp(rng.uniform(*np.log(_LASTS_S))))

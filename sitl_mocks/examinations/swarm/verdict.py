@@ -1,4 +1,4 @@
-"""The verdict on a swarm under faults: what was injected, which rules were broken, and what is not known."""
+"""The verdict on a swarm under faults: injected faults, broken rules, and aircraft without a result."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NUMBERS: Final = {
     "reorder": "({:.2f} of the datagrams)",
     "slow": "(at {:.0f} bit/s)",
 }
-"""What the first number of a fault says, by its kind."""
+"""Kind of fault -> text for its first number."""
 
 
 @dataclass(slots=True)

@@ -78,7 +78,7 @@ class Verdict:
 
 @lru_cache(maxsize=len(PAIRS))
 def prepared(firmware: Firmware, use: Use) -> tuple[Snapshot, ...]:
-    """Snapshots of one flight to continue from: held on its path and avoiding, taken and given back."""
+    """Snapshots of one flight, from which cases continue: in control and avoiding, taking and giving back."""
     flights = Flights(firmware, use, _PREPARED_SEED)
     flights.others.mean_s = math.inf
     found: list[Snapshot] = []
@@ -91,8 +91,8 @@ def prepared(firmware: Firmware, use: Use) -> tuple[Snapshot, ...]:
         if now_s - met_s >= _MET_EVERY_S:
             met_s = now_s
             flights.others.meet(now_s, vehicle.position_ned_m, vehicle.velocity_ned_mps)
-        # While the autopilot flies the vehicle, take only a tenth as many: the companion has little to give
-        # up.
+        # Take only a tenth as many while the autopilot flies the vehicle, because the companion then has no
+        # control to lose.
         if now_s >= next_s:
             next_s = now_s + (_EVERY_S if vehicle.mode in _HELD else 10.0 * _EVERY_S)
             found.append(flights.snapshot())

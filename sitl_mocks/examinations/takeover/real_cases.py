@@ -230,7 +230,7 @@ class RealFlight:
             self._pump(0.002)
 
     def give_back(self) -> None:
-        """Disarm for a moment in the air, which gives authority anew, and wait until the companion takes it.
+        """Disarm for a moment in the air, which gives authority again, and wait until the companion takes it.
 
         Raises:
             NoFlightError: the companion does not take the vehicle, or has ended.
@@ -288,7 +288,7 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 
 
 def fly_cases(firmware: Firmware, link: Kind, cases: list[RealCase], folder: Path) -> list[RealVerdict]:
-    """Fly cases of one firmware and link. A companion that ended is started anew."""
+    """Fly cases of one firmware and link. A companion that ended is started again."""
     found: list[RealVerdict] = []
     flight: RealFlight | None = None
     try:

@@ -186,7 +186,7 @@ class Flight:
             if not self.armed or not self.on_ground or height_m <= 0.0:
                 return "Takeoff: refused"
         else:
-            self._enter(VehicleMode.TAKEOFF)
+            self._request(VehicleMode.TAKEOFF)
         self._takeoff_down = -height_m
         return None
 
@@ -209,8 +209,7 @@ class Flight:
             and not self._streaming(now_s)
         ):
             return "Offboard needs a setpoint stream"
-        self._enter(mode)
-        self._intended = mode
+        self._request(mode)
         return None
 
     def fail_over(self, mode: VehicleMode) -> None:
@@ -230,8 +229,7 @@ class Flight:
 
     def take_over(self) -> None:
         """Give control to the pilot: enter MANUAL."""
-        self._enter(VehicleMode.MANUAL)
-        self._intended = VehicleMode.MANUAL
+        self._request(VehicleMode.MANUAL)
 
     def set_setpoint(self, setpoint: Setpoint, now_s: float) -> None:
         """Take a setpoint that the firmware understood. ArduPilot ignores it outside GUIDED."""
@@ -349,6 +347,11 @@ class Flight:
         if self.body.touchdown_mps > 1.0:
             self.texts.append((_INFO, f"SIM Hit ground at {self.body.touchdown_mps:f} m/s"))
 
+    def _request(self, mode: VehicleMode) -> None:
+        """Enter a mode that is no failsafe's, and to which the vehicle returns after one."""
+        self._enter(mode)
+        self._intended = mode
+
     def _enter(self, mode: VehicleMode) -> None:
         self.failsafe = self._stream_lost = False
         self._takeoff_down = None
@@ -390,7 +393,7 @@ class Flight:
     def _fly_takeoff(self, now_s: float) -> Vec3:
         velocity = self._climb()
         if self._takeoff_down is None:
-            self._enter(VehicleMode.HOLD)
+            self._request(VehicleMode.HOLD)
         return velocity
 
     def _climb(self) -> Vec3:
@@ -403,7 +406,7 @@ class Flight:
     def _fly_mission(self, now_s: float) -> Vec3:
         velocity = self.runner.step(now_s, self.cruise_mps)
         if self.runner.complete and self._manners.mission_end_mode is not None:
-            self._enter(self._manners.mission_end_mode)
+            self._request(self._manners.mission_end_mode)
         return velocity
 
     def _fly_hold(self, now_s: float) -> Vec3:

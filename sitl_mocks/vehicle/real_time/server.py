@@ -159,14 +159,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--quirk", action="append", default=[], metavar="NAME=VALUE", help="change one behaviour of the "
         "firmware, for example nose_follows_velocity=false or loss_mode=hold; may be repeated")  # fmt: skip
-    add("--sensor", choices=["scan", "points", "tracks", "proximity"], help="a sensor aboard that sees "
-        "obstacles, and the message it sends: OBSTACLE_DISTANCE, OBSTACLE_DISTANCE_3D, ADSB_VEHICLE, or "
-        "DISTANCE_SENSOR of an ArduPilot to which it is wired")  # fmt: skip
+    add("--sensor", choices=["scan", "points", "tracks", "proximity"], help="simulate a sensor that "
+        "sees obstacles, and the message that it sends: OBSTACLE_DISTANCE, OBSTACLE_DISTANCE_3D, "
+        "ADSB_VEHICLE, or DISTANCE_SENSOR of an ArduPilot to which it is wired")  # fmt: skip
     add("--sensor-range", type=float, default=SensorOptions().range_m, metavar="M",
         help="how far the sensor sees (default: %(default)g)")  # fmt: skip
     add("--obstacle", action="append", default=[], metavar="KIND:N,E,...",
-        help="something that sends nothing: pole:N,E, wall:N,E,N,E or aircraft:N,E,D,VN,VE,VD (m and m/s, "
-        "from home, at the start); may be repeated")  # fmt: skip
+        help="an obstacle that transmits nothing: pole:N,E, wall:N,E,N,E or aircraft:N,E,D,VN,VE,VD "
+        "(m and m/s, from home, at the start); may be repeated")  # fmt: skip
     add("--seed", type=int, default=0, help="random seed of the navigation errors (default: %(default)s)")
     add("--troubles", action="store_true", help="read faults from standard input, one JSON object per line, "
         'for example {"answers": "disobeyed"} or {"gnss_lost": true}')  # fmt: skip

@@ -24,10 +24,10 @@ class TroubleInput:
         os.set_blocking(fd, False)
 
     def read(self, troubles: Troubles) -> None:
-        """Set what the lines say that have arrived since the last call.
+        """Set the troubles named in the lines that have arrived since the last call.
 
         Raises:
-            ConfigError: a line is expected a JSON object, or names no trouble.
+            ConfigError: a line is no JSON object, or its trouble or value is unknown.
         """
         try:
             self._rest += os.read(self._fd, _READ_BYTES)

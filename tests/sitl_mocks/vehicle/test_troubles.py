@@ -222,6 +222,19 @@ def test_bad_estimator_ends_the_flight_by_position(airborne, firmware, name):
     assert b.vehicle.mode is (VehicleMode.LAND if firmware is AP else VehicleMode.EXTERNAL)
 
 
+def test_px4_returns_after_a_failsafe_to_the_take_off_and_not_to_the_mode_before_it(airborne):
+    b = airborne(PX4)
+    b.set_mode(VehicleMode.RTL)
+    b.command(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, math.nan, math.nan, math.nan, 480.0)
+    assert b.vehicle.mode is VehicleMode.TAKEOFF
+    b.vehicle.troubles.estimator_bad = True
+    b.run(1.8)
+    assert b.vehicle.mode is VehicleMode.LAND
+    b.vehicle.troubles.estimator_bad = False
+    b.run(0.5)
+    assert b.vehicle.mode is VehicleMode.TAKEOFF
+
+
 @pytest.mark.parametrize(("firmware", "grace_s"), [(AP, 7.0), (PX4, 5.0)])
 def test_gnss_loss_is_told_at_once_and_lands_later(airborne, firmware, grace_s):
     b = airborne(firmware).in_external()
