@@ -4,10 +4,11 @@
 `docs/authority.md`. `control.Control` runs the table: the core calls `Control.step` once per cycle and gets
 back a `step.Step` with commands and perhaps a velocity. `readiness.Readiness` says why a vehicle may not be
 taken yet, `modes.OurModes` tells our own mode changes from the pilot's, and `reasons.Reasons` has the words
-for each change of state. A plan (protocol `plan.Plan`)
-supplies the path: `flown.FlownPlan` for a path that the companion flies, `guard.GuardPlan` for a mission that
-the autopilot flies and the companion guards; `handback.HandBack` returns a guarded vehicle to its mission.
-`influence` bounds how far and how long unproven traffic may move the aircraft.
+for each change of state. A plan (protocol `plan.Plan`) supplies the path: `flown.FlownPlan` for a path that
+the companion flies, `guard.GuardPlan` for a mission that the autopilot flies and the companion guards;
+`handback.HandBack` returns a guarded vehicle to its mission. `influence` bounds how far and how long unproven
+traffic may move the aircraft.
+
 The velocity itself comes from the law in `companion.avoidance`, which knows nothing of authority. This room
 may import only the rooms before it in the `ROOMS` list of `tests/test_imports.py`: of those it uses
 `adjustable_parameters`, `autopilot`, `avoidance`, `broadcast`, `config`, `errors`, `events`, `geofence`,

@@ -35,7 +35,7 @@ class Refused:
     lost: str | None = None
     """The gate refused a command because authority was lost."""
     traffic: str | None = None
-    """Traffic is not avoided any longer: it has held the vehicle for as long as it may."""
+    """Traffic has spent its allowance (`authority.influence`), so the vehicle is asked to hold."""
 
 
 class Reasons:
