@@ -40,8 +40,8 @@ their order, a message is at most `_MIXED_S` older than one that came before it.
 the link mixes old and new messages. Modes are then not trusted for as long as the old message was late, but
 for `_LONGEST_MIXED_S` at most, because a restart of the vehicle's clock looks like a long delay."""
 _RESTART_S = 1.0
-"""A clock counts as restarted if it goes back by more than this, either after a silence of more than this or so
-far that its messages seem late by more than `_LONGEST_MIXED_S`."""
+"""A clock counts as restarted if it goes back by more than this, either after a silence of more than this or
+so far that its messages seem late by more than `_LONGEST_MIXED_S`."""
 
 _GROUND_MPS = 2.0
 
