@@ -116,7 +116,7 @@ class AutopilotLink:
             settings: our own parameters that ground stations may read and set. None: there are none.
             information: answers ground stations' requests for information about the companion. None: not
                 answered.
-            sensed: which sensors of obstacles are read. None: none.
+            sensed: which sensors of obstacles are read. None: none is read.
 
         Raises:
             ConfigError: `vehicle.component_id` is already the id of the Remote ID component.
