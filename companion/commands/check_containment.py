@@ -1,4 +1,4 @@
-"""What `companion check` says of the mission to be guarded, of the containment and of plug-ins."""
+"""Findings of `companion check` about the mission to be guarded, the containment and plug-ins."""
 
 from __future__ import annotations
 
