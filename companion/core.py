@@ -85,7 +85,7 @@ class Companion:
         self.traffic = Traffic(config.traffic, identity.uas_id, identity.ua_type, config.avoidance)
         self.adsb = AdsbTraffic(None if identity.icao is None else int(identity.icao, 16), config.avoidance)
         self.sensed: SensedTraffic | None = None
-        """What sensors aboard see; None: they are not used."""
+        """Tracks of what sensors aboard measure; None if sensors are not used."""
         if config.sensed.use:
             self.sensed = SensedTraffic(config.sensed, config.vehicle.stale_after_s)
         self._publication = Publication()

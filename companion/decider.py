@@ -61,7 +61,8 @@ class Decider:
         vehicle."""
         self._decided_s = self._logged_s = self._said_wall_s = -math.inf
         self._told_late_s: float | None = None
-        """Delay of the path when it was last reported or when the vehicle was taken; None: not controlled."""
+        """Delay of the path (s) at its last report or at the takeover; None while we do not control the
+        vehicle."""
 
     def configure(self, config: Config) -> None:
         """Use another configuration from now on."""

@@ -114,7 +114,7 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     known_s: float = 0.0
     """Time since it was first received."""
     yields: bool = False
-    """True: it may be forged to press on us, and is avoided only as far as all others allow."""
+    """True: it is avoided only as far as all others allow, because it may be forged to press on us."""
     presses: bool = False
     """True: it yields because it has long been inside its volume, or follows us."""
     relative: bool = False

@@ -1,8 +1,9 @@
 """The law of a plug-in, which is asked for a velocity and has limits, floor, ceiling and fence kept for it.
 
-The plug-in is untrusted. What it returns becomes the wish of a decision of our own kernel that knows no other
-aircraft, so that the command obeys the same limits and the same planes of the fence as that of every other
-law. An exception, or anything but three finite numbers, ends its use: `PluginLaw.fault` tells the authority.
+The plug-in is untrusted. The velocity that it returns becomes the wish in a decision of our own kernel
+without neighbours, so that the command obeys the same limits and the same planes of the fence as that of
+every other law. An exception, or anything but three finite numbers, ends its use; `PluginLaw.fault` reports
+that.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """`companion init`: writes a commented configuration, by options or by asking.
 
-What is written is loaded before it is kept, so that `companion check` accepts it.
+The written file is loaded before it is kept, so that `companion check` accepts it.
 """
 
 from __future__ import annotations

@@ -88,7 +88,7 @@ def read_run(folder: Path) -> Seen:
     """Read a run folder of `companion run`.
 
     Raises:
-        ConfigError: it is none, or was not recorded to its end.
+        ConfigError: it is no run folder, or the run was not recorded to its end.
         PeerDataError: its record is damaged.
     """
     files = sorted(folder.glob("*.events"))

@@ -48,8 +48,8 @@ class ObstacleScan(Event, frozen=True):
     component: int
     """Component that measured."""
     axes: Literal["body", "nose", "north"]
-    """What the angles are measured in: the vehicle's own plane, which rolls and pitches with it; the level
-    plane, from the nose; the level plane, from north."""
+    """Reference of the angles. body: the vehicle's own plane, which rolls and pitches with it. nose: the
+    level plane, from the nose. north: the level plane, from north."""
     first_deg: float
     """Angle of the middle of the first sector, clockwise seen from above."""
     step_deg: float

@@ -102,7 +102,7 @@ _VELOCITY_AGE_S = 1.0
 
 
 def read_steps(stream: BinaryIO, name: str, about: About) -> Iterator[Step]:
-    """Yield a step for each message that tells something, in order of time.
+    """Yield a step for each message that makes an event, in order of time.
 
     Times are the vehicle's own, since it started. UTC is that of its GNSS receiver.
 

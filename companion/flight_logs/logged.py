@@ -147,7 +147,7 @@ class About:
         return tuple(found)
 
     def note(self, event: AnyEvent | AnyCommand) -> None:
-        """Take in what an event tells of the vehicle."""
+        """Take in the facts about the vehicle that an event holds."""
         self.seen.add(type(event))
         if isinstance(event, GnssFix):
             self.has_fix |= event.fix_type >= FIX_3D

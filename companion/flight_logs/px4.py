@@ -77,7 +77,7 @@ _MODULE = mavlink.MAV_COMP_ID_ODID_TXRX_1
 
 
 def read_steps(stream: BinaryIO, name: str, about: About) -> Iterator[Step]:
-    """Yield a step for each message that tells something, in order of time.
+    """Yield a step for each message that makes an event, in order of time.
 
     Times are the vehicle's own, since it started. UTC is that of its GNSS receiver.
 

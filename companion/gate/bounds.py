@@ -104,7 +104,7 @@ class Bounds:
             self._mixed_until_s = max(self._mixed_until_s, now_s + min(delay_s, _LONGEST_MIXED_S))
         silent = now_s - self._clock_s > _RESTART_S
         if time_boot_s < self._stamp_s - _RESTART_S and (silent or delay_s > _LONGEST_MIXED_S):
-            # The clock has restarted, and the age of the last position cannot be told by it.
+            # The clock has restarted, so the age of the last position is no longer known.
             self._offset_s, self._stamp_s, self._boot_s = math.inf, time_boot_s, -math.inf
             self._position = None
         passed_s = max(time_boot_s - self._stamp_s, 0.0)

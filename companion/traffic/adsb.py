@@ -48,7 +48,7 @@ weather that is 37 hPa off the standard atmosphere."""
 ESTABLISHED = 3
 """Number of reports from which an aircraft is established."""
 _RANKED_S = 0.2
-"""While the table is half full, all aircraft are ranked this often."""
+"""While the table is at least half full, all aircraft are ranked this often."""
 MOST = 200
 """Most aircraft held at a time."""
 EXPIRE_S = 15.0

@@ -1,6 +1,6 @@
 """Finds the track to give up when a table is full, without a search through all tracks.
 
-An attacker who fills the table must displace only his own tracks, not the aircraft that we are about to meet.
+An attacker who fills the table must displace only forged tracks, not the aircraft that we are about to meet.
 
 - A threat (`Judgement`) is given up only when there is nothing else to give up.
 - Of the others, tracks that were heard only a few times go first, then those that appeared together, then

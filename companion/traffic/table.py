@@ -31,8 +31,8 @@ ADDRESSES_PER_TRACK = 4
 TRACKS_PER_IDENTITY = 16
 """Most tracks of one identity."""
 _RANKED_S, _RANKED_AT_ONCE = 0.2, 512
-"""While the table is half full, all tracks are ranked this often, up to so many at a time. Otherwise a track
-is ranked with some of its messages."""
+"""While the table is at least half full, all tracks are ranked this often, at most this many at a time.
+Otherwise a track is ranked with some of its messages."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ _QUANTUM_S = 0.1
 _DECLARED_S = 2.0
 _LASTING_S = 1.3
 """A contradicted state is believed for this much longer than a track may be silent, so that one lost message
-hides nobody."""
+hides no aircraft."""
 _BELIEFS = 4
 """Most states that a track is believed to be in. The least urgent one is given up."""
 HIGH_M = 10.0
@@ -214,8 +214,8 @@ class Track:
         at_s = self.sample_s if fix.stamp_s is None else fix.stamp_s
         down, sinking = (p[2], v[2]) if self.vertical_known else (0.0, 0.0)
         if self.vertical_known != self.past_vertical:
-            # A height that becomes known or unknown is no manoeuvre. Where the aircraft came from is told by
-            # this message too.
+            # A height that becomes known or unknown is no manoeuvre, so the earlier height is extrapolated
+            # back from this message.
             passed = at_s - past.since_s
             since_d = down - passed * sinking if passed < math.inf else down
             past = past._replace(d=down, vd=0.0, since_d=since_d, since_vd=sinking)

@@ -48,7 +48,7 @@ _MAX_RANGE_M = 50_000.0
 is too inaccurate there."""
 _LEADS = 5
 _RANKED_EVERY = 8
-"""A track is ranked for eviction every so many messages; its standing changes little in between."""
+"""A track is ranked for eviction once in this many messages; its standing changes little in between."""
 
 
 @dataclass(slots=True)

@@ -119,7 +119,7 @@ class Other(NamedTuple):
     turn_rps: float
     """Turn rate of crewed traffic, positive to the right."""
     sigma_down_m: float
-    """Error of the height of crewed traffic beside ours."""
+    """Error of the height of crewed traffic relative to ours."""
     yields: float
     """1: its planes are kept only as far as those of all others allow."""
     relative: float
