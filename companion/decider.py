@@ -148,9 +148,9 @@ class Decider:
         told = self.alerts.look(now_s, position, velocity, self._neighbours, result)
         if self._sensed is None:
             return told
-        return [_named(c, self._sensed.fused) for c in told if not self._says_again(now_s, c)]
+        return [_with_fused_reason(c, self._sensed.fused) for c in told if not self._repeats_wall(now_s, c)]
 
-    def _says_again(self, now_s: float, command: Command) -> bool:
+    def _repeats_wall(self, now_s: float, command: Command) -> bool:
         """Whether a message about a sensed surface follows another such message too soon."""
         if not isinstance(command, Say) or SENSED_WALL not in command.text:
             return False
@@ -194,7 +194,7 @@ class Decider:
         ]
 
 
-def _named(command: Command, fused: Mapping[tuple[bool, str], str]) -> Command:
+def _with_fused_reason(command: Command, fused: Mapping[tuple[bool, str], str]) -> Command:
     """Set the reason of an alert that ends because its aircraft is avoided as a sensed track from now on."""
     if not isinstance(command, AlertChanged) or command.level:
         return command

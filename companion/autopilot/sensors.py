@@ -296,7 +296,7 @@ class Sensors:
         if message_id == _DISTANCE:
             sector = proximity_sector(unpack(message_id, frame.payload))
             self._counts.sensed += sector is not None
-            return None if sector is None else self._whole(self._burst.add(sector, now_s), now_s)
+            return None if sector is None else self._usable(self._burst.add(sector, now_s), now_s)
         if not self._admits(message_id, now_s):
             self._counts.sensed_dropped += 1
             return None
@@ -314,9 +314,9 @@ class Sensors:
 
     def advance(self, now_s: float) -> Event | None:
         """The scan of a burst that has ended without its last sector; None if there is none."""
-        return self._whole(self._burst.settled(now_s), now_s)
+        return self._usable(self._burst.settled(now_s), now_s)
 
-    def _whole(self, scan: ObstacleScan | None, now_s: float) -> Event | None:
+    def _usable(self, scan: ObstacleScan | None, now_s: float) -> Event | None:
         """Return a scan of ArduPilot's sectors, or None if finer measurements or the rate limit exclude
         it."""
         if scan is None or 0.0 <= now_s - self._finer_s < FINER_S:

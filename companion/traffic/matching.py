@@ -88,9 +88,9 @@ def match(
             continue
         if not _follows(track, fix, at, others=twins or others):
             continue
-        unlike = away + (_unlike(track, fix, now_s) if several else 0.0)
-        if (others, unlike) < least:
-            best, least, nearest = track, (others, unlike), away
+        penalty_m = away + (_penalty_m(track, fix, now_s) if several else 0.0)
+        if (others, penalty_m) < least:
+            best, least, nearest = track, (others, penalty_m), away
     return best, nearest
 
 
@@ -145,16 +145,16 @@ def _follows(track: Track, fix: Fix, at_s: float, *, others: bool) -> bool:
     return _turned(track, fix, v, elapsed_s)
 
 
-def _unlike(track: Track, fix: Fix, now_s: float) -> float:
+def _penalty_m(track: Track, fix: Fix, now_s: float) -> float:
     """Penalty (m) for what does not fit between a fix and a track, apart from the place."""
-    unlike = 0.0
+    penalty_m = 0.0
     if fix.velocity is not None:
-        unlike += math.dist(fix.velocity, track.velocity_ned_mps)
+        penalty_m += math.dist(fix.velocity, track.velocity_ned_mps)
     if fix.stamp_s is not None:
-        unlike += _CLOCK_MPS * abs(fix.stamp_s - now_s - track.leads_s[-1])
+        penalty_m += _CLOCK_MPS * abs(fix.stamp_s - now_s - track.leads_s[-1])
         if fix.stamp_s - lead(track.leads_s) <= track.sample_s:
-            unlike += _OLD_M
-    return unlike
+            penalty_m += _OLD_M
+    return penalty_m
 
 
 def same_aircraft(track: Track, others: Iterable[Track]) -> Track | None:

@@ -97,11 +97,11 @@ class Allowances:
         traffic."""
         self._charged_s = self._squeezed_s = -math.inf
         """Times of the last charge, and of the last decision in which a track yielded to another."""
-        self._newest_s = self._newer_s = -math.inf
+        self._newest_batch_s = self._batch_before_s = -math.inf
         """Times at which the newest batch of tracks (`_BATCH_S`) and the one before it began to appear near
         us."""
         self._said_s = -math.inf
-        self._looked_s = -math.inf
+        self._decided_s = -math.inf
         """Time of the latest decision."""
         self._told: list[Command] = []
         self.hold: str | None = None
@@ -135,9 +135,9 @@ class Allowances:
             place = key = other.adsb, other.track_id
             if ASIDE in other.track_id:
                 key = other.adsb, other.track_id.partition(ASIDE)[0]
-            known = tracks.get(key) or self._met(now_s, key, other)
+            known = tracks.get(key) or self._remember(now_s, key, other)
             if key is place:
-                if self._looked_s - known.heard_s > _SILENT_S:
+                if self._decided_s - known.heard_s > _SILENT_S:
                     known = tracks[key] = known.renewed(now_s, other, _predicted(other))
                     self._followers.forget(key)
                 known.latest = other
@@ -146,7 +146,7 @@ class Allowances:
                 )
                 known.see(now_s, _predicted(other))
             places[place] = known
-        self._looked_s = now_s
+        self._decided_s = now_s
         self._forget(now_s)
         found = []
         for other in neighbours:
@@ -154,7 +154,7 @@ class Allowances:
                 found.append(other)
                 continue
             known = places[other.adsb, other.track_id]
-            if self._counts(now_s, known):
+            if self._is_avoided(now_s, known):
                 yields = known.yields(now_s) and not (other.crewed or known.stands(now_s))
                 if yields:
                     presses = known.presses or known.entered
@@ -162,11 +162,11 @@ class Allowances:
                 found.append(other)
         return found
 
-    def _met(self, now_s: float, key: Key, other: Neighbour) -> Remembered:
+    def _remember(self, now_s: float, key: Key, other: Neighbour) -> Remembered:
         known = self._tracks[key] = Remembered(key, other, now_s, now_s, _predicted(other), now_s)
         return known
 
-    def _counts(self, now_s: float, known: Remembered) -> bool:
+    def _is_avoided(self, now_s: float, known: Remembered) -> bool:
         """Whether an unproven track is to be avoided."""
         config, other = self._config, known.latest
         if known.stands(now_s):
@@ -227,7 +227,7 @@ class Allowances:
         self._charge_totals(now_s, passed_s if counts else 0.0)
         self._tell_squeeze(now_s, result)
         self.hold = self._why_hold(
-            [known.latest for known, blocks in acting if blocks and self._counts(now_s, known)]
+            [known.latest for known, blocks in acting if blocks and self._is_avoided(now_s, known)]
         )
 
     def _note_near(self, now_s: float, here: Vec3, view: TrackView, known: Remembered) -> bool:
@@ -237,9 +237,9 @@ class Allowances:
             return False
         if other.split or not _is_inside(here, view, NEAR_M):
             return False
-        if now_s - self._newest_s > _BATCH_S:
-            self._newest_s, self._newer_s = now_s, self._newest_s
-        return now_s - self._newer_s <= _SERIAL_S
+        if now_s - self._newest_batch_s > _BATCH_S:
+            self._newest_batch_s, self._batch_before_s = now_s, self._newest_batch_s
+        return now_s - self._batch_before_s <= _SERIAL_S
 
     def _enter(self, now_s: float, inside: Iterable[Remembered]) -> None:
         """Let tracks that were first heard inside their volumes take over the used time of others."""

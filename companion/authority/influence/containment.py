@@ -59,11 +59,11 @@ class Containment:
         self._course = course
         self._law: Law | None = None
         """Law of the flight to which the places below belong."""
-        self._more: deque[_Place] = deque(maxlen=_MOST_PLACES)
+        self._extra_places: deque[_Place] = deque(maxlen=_MOST_PLACES)
         """Places outside of the mission's volume in which the aircraft was taken."""
-        self._more_m: deque[float] = deque(maxlen=_MOST_PLACES)
+        self._extra_heights_m: deque[float] = deque(maxlen=_MOST_PLACES)
         """Heights above home outside of the mission's volume in which the aircraft was taken."""
-        self._of: tuple[Vec3, ...] | None = None
+        self._made_for: tuple[Vec3, ...] | None = None
         """`Course.places` for which the walls were made; None while we do not control the vehicle."""
         self._range_m = 0.0, 0.0
         """Least and greatest height of the mission."""
@@ -84,8 +84,8 @@ class Containment:
 
     def let_go(self) -> None:
         """End the volume, because we no longer control the vehicle."""
-        if self._of is not None:
-            self._of, self._is_wide = None, False
+        if self._made_for is not None:
+            self._made_for, self._is_wide = None, False
             if self._law is not None:
                 self._law.enclose(k.NO_WALLS)
 
@@ -104,10 +104,10 @@ class Containment:
         assert position is not None
         here, height_m = self._own.position_ned_m(now_s), position.height_above_home_m
         if law is not self._law:
-            self._law, self._of = law, None
-            self._more.clear()
-            self._more_m.clear()
-        anew = self._of is not self._course.places
+            self._law, self._made_for = law, None
+            self._extra_places.clear()
+            self._extra_heights_m.clear()
+        anew = self._made_for is not self._course.places
         if anew:
             self._make(here[:2], height_m)
             self._is_wide = self._is_beyond(now_s, here[:2], height_m, _BEYOND_M)
@@ -120,15 +120,15 @@ class Containment:
     def _make(self, here: _Place, height_m: float) -> None:
         """Make the walls and heights of the mission, so that the aircraft is within the larger volume."""
         config, course = self._config, self._course
-        self._of = course.places
-        heights = [*course.heights_m, *self._more_m]
+        self._made_for = course.places
+        heights = [*course.heights_m, *self._extra_heights_m]
         if not heights or height_m > max(heights) + self._crewed_above_m + _BEYOND_M:
-            self._more_m.append(height_m)
+            self._extra_heights_m.append(height_m)
             heights.append(height_m)
         self._range_m = min(heights), max(heights)
-        places = [*(place[:2] for place in course.places), *self._more]
+        places = [*(place[:2] for place in course.places), *self._extra_places]
         if not places or not _within(area_around(places, self._crewed_side_m + _BEYOND_M), here):
-            self._more.append(here)
+            self._extra_places.append(here)
             places.append(here)
         self._places = places
         self._narrow = area_around(places, config.side_m)
