@@ -10,7 +10,5 @@ the companion flies, `guard.GuardPlan` for a mission that the autopilot flies an
 traffic may move the aircraft.
 
 The velocity itself comes from the law in `companion.avoidance`, which knows nothing of authority. This room
-may import only the rooms before it in the `ROOMS` list of `tests/test_imports.py`: of those it uses
-`adjustable_parameters`, `autopilot`, `avoidance`, `broadcast`, `config`, `errors`, `events`, `geofence`,
-`geometry` and `ownship`.
+may import the rooms before it in `ROOMS` of tests/test_imports.py.
 """

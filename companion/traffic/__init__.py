@@ -7,8 +7,7 @@ the table of `track.Track`s from Remote ID, `fix.Fix` is one converted Location,
 `plausibility.Flag`s, and `adsb.AdsbTraffic` is the table for ADS-B. `own_flight` recognises our own messages,
 `signatures` verifies what senders sign, `right_of_way` ranks aircraft, and `senders.reception` measures rates
 and losses for `companion.atmc`. `sensed` tracks obstacles and aircraft that sensors aboard see. This room may
-import the rooms before it in `ROOMS` (tests/test_imports.py), up to `broadcast`; it uses `arrays`,
-`geometry`, `remote_id`, `events`, `config` and `avoidance`. Start with `tracks.py`, then `track.py` and
+import the rooms before it in `ROOMS` of tests/test_imports.py. Start with `tracks.py`, then `track.py` and
 `fix.py`.
 """
 
