@@ -202,5 +202,5 @@ def _with_fused_reason(command: Command, fused: Mapping[tuple[bool, str], str]) 
     if seen_as is None:
         return command
     return msgspec.structs.replace(
-        command, reason=f"clear {command.track_id}: avoided as {seen_as}, which it is"
+        command, reason=f"clear {command.track_id}: the same aircraft is avoided as {seen_as}"
     )

@@ -9,6 +9,7 @@ the companion flies, `guard.GuardPlan` for a mission that the autopilot flies an
 `handback.HandBack` returns a guarded vehicle to its mission. `influence` bounds how far and how long unproven
 traffic may move the aircraft.
 
-The velocity itself comes from the law in `companion.avoidance`, which knows nothing of authority. This room
-may import the rooms before it in `ROOMS` of tests/test_imports.py.
+In this project, to take a vehicle is to take control of it, and traffic holds a vehicle while the companion
+flies it because of that traffic. The velocity itself comes from the law in `companion.avoidance`, which knows
+nothing of authority. This room may import the rooms before it in `ROOMS` of tests/test_imports.py.
 """

@@ -58,7 +58,7 @@ class HandBack:
         self._patience_s = longer_s if again else 0.0
         if not self._patience_s:
             return []
-        text = f"DMUCA: vehicle taken again; next handback after {self._patience_s:g} s without conflict"
+        text = f"DMUCA: control taken again; next handback after {self._patience_s:g} s without conflict"
         return [Say(severity=Severity.NOTICE, text=text)]
 
     def note_way(self, now_s: float) -> None:

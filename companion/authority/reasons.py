@@ -79,7 +79,7 @@ class Reasons:
             case Trigger.CHANGED if handback is not None:
                 return handback.why_not
             case Trigger.SPENT:
-                return f"{refused.traffic}: the vehicle is to hold"
+                return f"{refused.traffic}: the vehicle is asked to hold"
             case Trigger.CONFLICT if result is not None:
                 return "conflict with " + ", ".join(t.track_id for t in result.tracks if t.conflict)
         return _REASONS[trigger]

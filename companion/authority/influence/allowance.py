@@ -327,7 +327,7 @@ class Allowances:
 
     def _tell_track(self, now_s: float, known: Remembered) -> None:
         track_id = known.key[1]
-        what = "it stands and is still avoided" if known.stands(now_s) else "it is not avoided any more"
+        what = "it stands still and is still avoided" if known.stands(now_s) else "it is not avoided any more"
         text = f"{track_id} has held us for {known.used.used_s:.0f} s: {what}"
         self._told.append(AllowanceSpent(scope="track", track_id=track_id, text=text))
         if now_s - self._said_s >= _SAY_S:
@@ -363,7 +363,7 @@ class Allowances:
             self._told.append(AllowanceSpent(scope=scope, spent=False, text=f"{who} is avoided again"))
             self._told.append(Say(severity=Severity.NOTICE, text=f"DMUCA: {who} is avoided again"))
             return
-        what = "not avoided any more" if then == "resume" else "the vehicle is to hold"
+        what = "not avoided any more" if then == "resume" else "the vehicle is asked to hold"
         self._tell_spent(scope, f"{who} has held us for {most_s:g} s: {what}")
 
     def _tell_spent(self, scope: _Scope, text: str, track_id: str = "") -> None:

@@ -265,7 +265,7 @@ def test_the_mission_that_is_to_be_guarded(make_config: Callable[..., Config]) -
 
     fast = (
         "yellow",
-        "WP_SPD 9.6 is above limits.max_speed_mps 5: when taken in a conflict, the vehicle slows down to "
+        "WP_SPD 9.6 is above limits.max_speed_mps 5: in a conflict, the companion slows the vehicle down to "
         "that at once",
     )
     assert judge(MissionDownloaded(items=(slow, place))) == [("green", "2 items, read from the vehicle")]
