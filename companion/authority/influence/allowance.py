@@ -24,8 +24,7 @@ Each of these rules closes a way around the others:
 - A track that stands still may block, but it cannot drive the aircraft anywhere. It is never flown into:
   where the total is spent and such a track is in the way, the vehicle is asked to hold. A track that has
   moved while it pressed the aircraft does not count as standing.
-- Crewed traffic has a total of its own and no allowance for each track: an aircraft with people aboard is
-  avoided however long it stays.
+- Crewed traffic has a total of its own, `crewed_total_s`, and no allowance for each track.
 - Proven tracks are never charged, and always avoided.
 """
 
@@ -64,8 +63,9 @@ _FORGOTTEN_S = 60.0
 NEAR_M = 50.0
 """A track appears near us if it is first received at most this far outside of its volume."""
 _BATCH_S, _SERIAL_S = 3.0, 60.0
-"""Tracks that appear near us within `_BATCH_S` count as one. Tracks that appear within `_SERIAL_S` after
-those yield, because one transmitter may take new names. A single track may be an aircraft that took off."""
+"""Tracks that appear near us within `_BATCH_S` are one batch. A batch that appears within `_SERIAL_S` after
+another one yields, because one transmitter may take new names. A single one may be an aircraft that took
+off."""
 _SAY_S = 5.0
 """Least time between two messages to the pilot about single tracks."""
 

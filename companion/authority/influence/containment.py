@@ -1,4 +1,4 @@
-"""The volume that the aircraft does not leave while the companion flies it, whatever traffic it hears.
+"""The volume that the aircraft does not leave while the companion flies it, whatever traffic is received.
 
 It is kept in the same way as a fence, a floor and a ceiling: as an inclusion area with its walls, and as
 bounds on the height. Remote ID and ADS-B are unsigned: a transmitter can invent aircraft that push this one.

@@ -10,7 +10,7 @@ from companion.avoidance.law import Neighbour
 from companion.geometry import Vec3
 
 WHOLE = 0.5
-"""A spent allowance counts as spent until this share of it is used."""
+"""A spent allowance can be used again once its used time has fallen to this share of it."""
 STANDS_M, STANDS_S = 15.0, 30.0
 """A track stands still if it has stayed within this distance of a place for this long."""
 _APPEARED_S = 15.0
