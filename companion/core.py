@@ -85,7 +85,7 @@ class Companion:
         self.traffic = Traffic(config.traffic, identity.uas_id, identity.ua_type, config.avoidance)
         self.adsb = AdsbTraffic(None if identity.icao is None else int(identity.icao, 16), config.avoidance)
         self.sensed: SensedTraffic | None = None
-        """What sensors aboard see; None: they are not used."""
+        """Tracks of what sensors aboard measure; None if sensors are not used."""
         if config.sensed.use:
             self.sensed = SensedTraffic(config.sensed, config.vehicle.stale_after_s)
         self._publication = Publication()
@@ -100,7 +100,7 @@ class Companion:
         self._last_step_s: float | None = None
         self._frame: LocalFrame | None = None
         self._mode_known = True
-        """The reported modes are current, not read from a backlog."""
+        """Whether the reported modes are current, rather than read from a backlog."""
 
     @property
     def state(self) -> State:
@@ -126,7 +126,7 @@ class Companion:
         return self.waits_for(now_s) if self.state is State.STANDBY else self._late_input.text
 
     def _not_ready(self, now_s: float) -> str | None:
-        """As `waits_for`, but without the delay of messages, which only postpones the taking."""
+        """Like `waits_for`, but ignores late messages, which only postpone the takeover."""
         return self.law_fault or self._readiness.waits_for(now_s, self._control.left_in)
 
     def step(self, now_s: float, events: Sequence[Event]) -> list[Command]:

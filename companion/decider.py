@@ -24,7 +24,7 @@ from companion.traffic.tracks import Traffic
 _LATE_STEP_S = 30.0
 """The pilot is informed each time the path's delay has grown by this much."""
 _WALL_S = 10.0
-"""Least time between two texts about places of walls."""
+"""Least time between two messages to the pilot about sensed surfaces. One surface gives many tracks."""
 _QUIET_LOG_S = 1.0
 """Time between logged decisions in quiet states. While avoiding or recovering, every decision is logged."""
 
@@ -57,10 +57,12 @@ class Decider:
         self._neighbours: list[Neighbour] = []
         """All neighbours. The law is given those that their allowances admit."""
         self._heights_m: tuple[float, float] | None = None
-        """Floor and ceiling of the containment; None: the vehicle is not held."""
+        """Floor and ceiling of the containment, as heights above home; None while we do not control the
+        vehicle."""
         self._decided_s = self._logged_s = self._said_wall_s = -math.inf
         self._told_late_s: float | None = None
-        """Delay of the path when it was last reported or when the vehicle was taken; None: not controlled."""
+        """Delay of the path (s) at its last report or at the takeover; None while we do not control the
+        vehicle."""
 
     def configure(self, config: Config) -> None:
         """Use another configuration from now on."""
@@ -71,7 +73,8 @@ class Decider:
 
     @property
     def hold(self) -> str | None:
-        """Why the vehicle is to be asked to hold after the decision just made, in words; None: it is not."""
+        """Why the latest decision requires that the vehicle is asked to hold, in words; None if it does
+        not."""
         return self.allowances.hold
 
     def due(self, now_s: float) -> bool:
@@ -100,7 +103,7 @@ class Decider:
         return result
 
     def note(self, now_s: float, result: LawResult, state: State) -> list[Command]:
-        """Alerts, messages and log entries about the decision just made."""
+        """Return alerts, messages and log entries about the decision just made."""
         told = self.allowances.told()
         if state not in HOLDING:
             return told + self._alert(now_s, None) + self._log(now_s, result, state)
@@ -145,10 +148,10 @@ class Decider:
         told = self.alerts.look(now_s, position, velocity, self._neighbours, result)
         if self._sensed is None:
             return told
-        return [_named(c, self._sensed.fused) for c in told if not self._says_again(now_s, c)]
+        return [_with_fused_reason(c, self._sensed.fused) for c in told if not self._repeats_wall(now_s, c)]
 
-    def _says_again(self, now_s: float, command: Command) -> bool:
-        """Whether a text repeats, for another place of a wall, what was just said of one place."""
+    def _repeats_wall(self, now_s: float, command: Command) -> bool:
+        """Whether a message about a sensed surface follows another such message too soon."""
         if not isinstance(command, Say) or SENSED_WALL not in command.text:
             return False
         again = now_s - self._said_wall_s < _WALL_S
@@ -191,13 +194,13 @@ class Decider:
         ]
 
 
-def _named(command: Command, fused: Mapping[tuple[bool, str], str]) -> Command:
-    """An alert that ends because its aircraft is avoided as a sensed track from now on, with that reason."""
+def _with_fused_reason(command: Command, fused: Mapping[tuple[bool, str], str]) -> Command:
+    """Set the reason of an alert that ends because its aircraft is avoided as a sensed track from now on."""
     if not isinstance(command, AlertChanged) or command.level:
         return command
     seen_as = fused.get((False, command.track_id)) or fused.get((True, command.track_id))
     if seen_as is None:
         return command
     return msgspec.structs.replace(
-        command, reason=f"clear {command.track_id}: avoided as {seen_as}, which it is"
+        command, reason=f"clear {command.track_id}: the same aircraft is avoided as {seen_as}"
     )

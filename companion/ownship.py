@@ -37,11 +37,11 @@ _GNSS_LOST_S = 3.0
 _LANDED_LOST_S = 3.0
 _PRESSURE_LOST_S = 5.0
 _MOST_WEATHER_M = 500.0
-"""Largest difference of pressure altitude and altitude that is believed; 60 hPa off the standard atmosphere.
-Weather reaches 300 m."""
+"""Largest believed difference between pressure altitude and altitude above mean sea level. It corresponds to
+60 hPa off the standard atmosphere; weather causes up to 300 m."""
 _WEATHER_S, _SUDDEN_M = 300.0, 50.0
-"""Weather changes slowly: in flight, a difference that is so far from its mean over this time is not
-believed."""
+"""Time constant of the mean of that difference, and the largest deviation from the mean that is believed in
+flight, because weather changes slowly."""
 _GROUNDED_S, _GROUNDED_MESSAGES = 1.5, 3
 """An armed vehicle is believed to be on the ground after this many consecutive messages over this time."""
 _GROUNDED_HIGH_S = 10.0
@@ -173,7 +173,7 @@ class Ownship:
     _gnss_s: float = -math.inf
     _pressure_s: float = -math.inf
     _weather_m: float | None = None
-    """Mean of that difference, as far as it was believed."""
+    """Mean of the differences between pressure altitude and altitude that were believed (m)."""
     _estimator_lost_s: float = -math.inf
     """Time of the last report that the estimator has no position; minus infinity if it has one again."""
     _velocity_boot_s: float = -math.inf

@@ -27,10 +27,10 @@ def shipped(name: str) -> Path:
 
 
 def given(text: str, kind: str | None = None) -> Path:
-    """The file that an argument of a command names: `type` of such an option.
+    """The file that a command-line argument names. Use this function as the `type` of such an option.
 
-    Where the current folder has no `config/...` or `results/...` of that name, the one that comes with the
-    software is meant, so that the commands of the documentation work in any folder.
+    If the current folder has no `config/...` or `results/...` of that name, the argument means the file that
+    comes with the software, so that the commands of the documentation work in any folder.
 
     Args:
         kind: folder of TOML files in `config` that may be named without folder and ending, such as `head_on`

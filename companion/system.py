@@ -50,9 +50,9 @@ _SAY_AGAIN_S = 5.0
 """Least time between two messages to the pilot about the same rule of the gate."""
 _HOLDING = frozenset(state.value for state in HOLDING)
 _REQUESTS = (DownloadMission, DownloadFence)
-"""Commands for the link that command nothing."""
+"""Commands of the core that only request data from the vehicle."""
 _COMMANDS = (VelocitySetpoint, SetMode, SetSpeed, Say, ArmStatus, Threat, TrafficReport)
-"""Commands for the link that a companion which commands nothing does not send."""
+"""Commands of the core that are not sent to the vehicle in a dry run or a replay (`commanding=False`)."""
 
 
 class CompanionSystem:

@@ -2,13 +2,12 @@
 
 The paper's ATMC algorithm trains a network on the ground; here the frozen policy runs on the aircraft and
 decides, by default every 2 s, on which of BLE 4, BLE 5 and Wi-Fi the own Locations are sent, and how often.
-`chooser.Chooser` is called by the core in every step. It asks a `choice.Mind`: either a `policy.Policy`, or a
-`rule.Rule`, which needs no network. `senses.Senses` builds the observation from tracks, and `observation`
-defines its columns for the aircraft and the trainer alike. Whatever is chosen, the broadcaster keeps the
-region's legal minimum. This room may import the rooms before it in `ROOMS` (tests/test_imports.py), up to
-`traffic`; it uses `arrays`, `errors`, `remote_id`, `events`, `config`, `ownship`, `broadcast` and `traffic`.
-Start with `chooser.py`, then `actions.py` and `policy.py`; docs/atmc.md and docs/atmc-policy.md give the
-results.
+`chooser.Chooser` is called by the core in every step. It asks a `choice.Mind`: a `policy.Policy`, or a
+`rule.Rule`, which needs no network, or a `plugin_policy.PluginPolicy`. `senses.Senses` builds the observation
+from tracks, and `observation` defines its columns for the aircraft and the trainer alike. `audible` limits
+the choice while few aircraft are heard. Whatever is chosen, the broadcaster keeps the region's legal minimum.
+This room may import the rooms before it in `ROOMS` of tests/test_imports.py. Start with `chooser.py`, then
+`actions.py` and `policy.py`; docs/atmc.md and docs/atmc-policy.md give the results.
 """
 
 from companion.atmc.actions import Action, able, legal, rates_of, transports_of

@@ -1,7 +1,7 @@
 """The policy of a plug-in, as something that chooses transports (`choice.Mind`).
 
-The plug-in is untrusted: an exception, or anything but the index of an allowed action, makes the chooser take
-its fall-back, as an observation outside a policy's training does.
+The plug-in is untrusted: after an exception, or any answer but the index of an allowed action, the chooser
+uses its fall-back, as it does for an observation outside a policy's training.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _MOST_ACTIONS = 10_000
 
 
 class OwnPolicy(Protocol):
-    """The policy of one aircraft: what a plug-in of `dmuca.policies` makes when called without arguments.
+    """The policy of one aircraft, as a plug-in of `dmuca.policies` returns it when called without arguments.
 
-    It must depend on nothing but its arguments, and on what it kept of earlier ones: a replay asks again with
-    the same arguments and expects the same answers.
+    Its answers must depend only on the arguments of this and earlier calls, because a replay repeats the
+    calls and expects the same answers.
     """
 
     @property

@@ -4,12 +4,12 @@
 `docs/authority.md`. `control.Control` runs the table: the core calls `Control.step` once per cycle and gets
 back a `step.Step` with commands and perhaps a velocity. `readiness.Readiness` says why a vehicle may not be
 taken yet, `modes.OurModes` tells our own mode changes from the pilot's, and `reasons.Reasons` has the words
-for each change of state. A plan (protocol `plan.Plan`)
-supplies the path: `flown.FlownPlan` for a path that the companion flies, `guard.GuardPlan` for a mission that
-the autopilot flies and the companion guards; `handback.HandBack` returns a guarded vehicle to its mission.
-`influence` bounds how far and how long unproven traffic may move the aircraft.
-The velocity itself comes from the law in `companion.avoidance`, which knows nothing of authority. This room
-may import only the rooms before it in the `ROOMS` list of `tests/test_imports.py`: of those it uses
-`adjustable_parameters`, `autopilot`, `avoidance`, `broadcast`, `config`, `errors`, `events`, `geofence`,
-`geometry` and `ownship`.
+for each change of state. A plan (protocol `plan.Plan`) supplies the path: `flown.FlownPlan` for a path that
+the companion flies, `guard.GuardPlan` for a mission that the autopilot flies and the companion guards;
+`handback.HandBack` returns a guarded vehicle to its mission. `influence` bounds how far and how long unproven
+traffic may move the aircraft.
+
+In this project, to take a vehicle is to take control of it, and traffic holds a vehicle while the companion
+flies it because of that traffic. The velocity itself comes from the law in `companion.avoidance`, which knows
+nothing of authority. This room may import the rooms before it in `ROOMS` of tests/test_imports.py.
 """

@@ -279,7 +279,7 @@ class Control:
             found[Trigger.RELEASE] = None
         if now_s >= self._healthy_s:
             found[Trigger.HEALTHY] = None
-        if self._given_anew(shown):
+        if self._authority_given_again(shown):
             found[Trigger.REARM] = None
         standing_by = self.state is State.STANDBY and self._plan.ready and in_time
         ready = standing_by and self._readiness.waits_for(now_s, self._modes.left_in) is None
@@ -293,7 +293,7 @@ class Control:
             found[Trigger.LEFT] = None
         return found
 
-    def _given_anew(self, shown: Sequence[Heartbeat]) -> bool:
+    def _authority_given_again(self, shown: Sequence[Heartbeat]) -> bool:
         """Whether the pilot gives authority again.
 
         With `rearm = "disarm"` disarming does so. With "mode" the pilot must have left the mode that gives

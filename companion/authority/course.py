@@ -32,11 +32,11 @@ class Course:
         """Monotonic time of the path's time 0; None if the path's clock has not started."""
         self.home_alt_msl_m = 0.0
         self.places: tuple[Vec3, ...] = ()
-        """Places of the whole mission or path (local NED, m); none: not known."""
+        """Places of the whole mission or path (local NED, m); empty if they are not known."""
         self.heights_m: tuple[float, ...] = ()
         """Heights of those places above home."""
         self._profile: tuple[Sequence[float], Sequence[float]] = (), ()
-        """Path that is flown: times on the path's clock, and heights above home, of its points."""
+        """Points of the flown path: time on the path's clock (s) and height above home (m) of each."""
 
     def begin(self, law: Law, home_alt_msl_m: float, start_s: float | None) -> None:
         """Begin a flight. The home altitude stays fixed, even if the autopilot corrects it later.
@@ -50,12 +50,12 @@ class Course:
     def lead(
         self, places: Sequence[Vec3], heights_m: Sequence[float], profile: Sequence[tuple[float, float]]
     ) -> None:
-        """Take in where the flight leads.
+        """Set the places and heights of the flight.
 
         Args:
-            places, heights_m: the attributes of those names.
-            profile: the path that is flown: time on the path's clock, which grows, and height above home of
-                each point.
+            places, heights_m: values of the attributes of the same names.
+            profile: points of the flown path: increasing time on the path's clock (s) and height above home
+                (m) of each.
         """
         self.places, self.heights_m = tuple(places), tuple(heights_m)
         self._profile = [time_s for time_s, _ in profile], [height_m for _, height_m in profile]
@@ -89,7 +89,7 @@ class Course:
         return math.dist(self.point(now_s), own.position_ned_m(now_s))
 
     def leg_heights_m(self, now_s: float) -> tuple[float, float] | None:
-        """Least and greatest height above home of the present leg; None if it is not known. Needs a law."""
+        """Least and greatest height (m) above home of the present leg; None if not known. Needs a law."""
         times, heights = self._profile
         if not times:
             return None
@@ -99,7 +99,8 @@ class Course:
         return min(leg), max(leg)
 
     def _height_m(self, path_time_s: float) -> float:
-        """Height of the path at a time, that of its nearest end before and after it."""
+        """Height of the path at a time (m above home); before its start and after its end, that of the
+        end."""
         times, heights = self._profile
         after = bisect_right(times, path_time_s)
         if after == 0 or after == len(times):

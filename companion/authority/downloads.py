@@ -62,7 +62,7 @@ class Downloads:
         self._items_s = self._areas_s = self._tried_s = -math.inf
 
     def outdate_mission(self) -> None:
-        """Fetch the mission again without a pause. The last one is kept until then."""
+        """Fetch the mission again without a pause. The last one is kept until the new one arrives."""
         self._items_s = self._tried_s = -math.inf
 
     def hurry(self) -> None:

@@ -35,7 +35,8 @@ class FlownPlan:
         self._flown: tuple[MissionItem, ...] = ()
         """Mission from which the path was made."""
         self._given_back = False
-        """The pilot gave the vehicle back, so the mission must be compared before it is flown on."""
+        """Whether the pilot gave the vehicle back, so that the mission must be compared before it
+        continues."""
         self._changed: tuple[MissionItem, ...] = ()
         """Mission that was changed while the pilot flew. It must not be started from GUIDED or HOLD."""
         self._checked: bool | None = None

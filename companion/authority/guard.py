@@ -51,16 +51,16 @@ class GuardPlan:
         self.downloads = Downloads(self.terms)
         self.course = Course()
         self.changed = False
-        """The mission differs from the one when the vehicle was taken."""
+        """Whether the mission differs from the one when the vehicle was taken."""
         self.ended = False
-        """The mission was complete when the vehicle was taken, or has been completed since."""
+        """Whether the mission was complete when the vehicle was taken, or has been completed since."""
         self._flown: tuple[MissionItem, ...] = ()
         """Mission that the vehicle flies."""
         self._fetched = self._comparing = False
         self._compared_s = -math.inf
         """Time of the last comparison with the mission that the vehicle holds."""
         self._stale = False
-        """The fetched mission may not be the one that the vehicle flies; it must be fetched again."""
+        """Whether the mission must be fetched again, because the vehicle may fly another one by now."""
         self._judged: tuple[MissionItem, ...] | None = None
         """Mission whose speed was last compared with the limit."""
         self._seq = 0
@@ -72,7 +72,8 @@ class GuardPlan:
         self._speed_mps = 0.0
         """Speed of the vehicle when it was taken."""
         self._held_s, self._leg_m = -math.inf, (0.0, 0.0)
-        """When we last controlled the vehicle, and the least and greatest height of the leg then."""
+        """Time at which we last controlled the vehicle, and the lowest and highest point of its leg then (m
+        above home)."""
 
     @property
     def ready(self) -> bool:
@@ -289,7 +290,7 @@ class GuardPlan:
 
 
 def _takeoff(position: GlobalPosition) -> Vec3:
-    """Where the vehicle took off, and so where it returns to."""
+    """Place of take-off, to which the vehicle returns: latitude, longitude (deg), height above home (m)."""
     return position.lat_deg, position.lon_deg, position.height_above_home_m
 
 
@@ -298,7 +299,7 @@ def _standing(here: Vec3) -> Trajectory:
 
 
 def _way(here: Vec3, velocity: Vec3, there: Vec3, speed_mps: float, limits: LimitsConfig) -> Trajectory:
-    """Straight path to `there` that continues the current velocity, at `speed_mps` as limits allow."""
+    """Straight path to `there` that continues the current velocity, at `speed_mps` as far as limits allow."""
     length, down = math.dist(here, there), there[2] - here[2]
     if length < _HERE_M:
         return _standing(here)

@@ -37,7 +37,7 @@ class HandBack:
         self._asked_s = -math.inf
         """Time of the last request to resume the mission."""
         self._recalled = False
-        """Since that request we asked for our mode again, because of a new conflict."""
+        """Whether we asked for our mode again since that request, because of a new conflict."""
         self._resumed_s = -math.inf
         """Time at which the vehicle last resumed its mission."""
         self._patience_s = 0.0
@@ -58,7 +58,7 @@ class HandBack:
         self._patience_s = longer_s if again else 0.0
         if not self._patience_s:
             return []
-        text = f"DMUCA: vehicle taken again; next handback after {self._patience_s:g} s without conflict"
+        text = f"DMUCA: control taken again; next handback after {self._patience_s:g} s without conflict"
         return [Say(severity=Severity.NOTICE, text=text)]
 
     def note_way(self, now_s: float) -> None:
@@ -137,8 +137,7 @@ class HandBack:
         return self.ends_in_hold(heartbeat, now_s) and self._own.mission_complete
 
     def ends_in_hold(self, heartbeat: Heartbeat, now_s: float) -> bool:
-        """Whether a vehicle that holds after the last item of a mission reports a hold just after the mission
-        was handed back.
+        """Whether the vehicle reports a hold just after the handback, as it does at the end of a mission.
 
         MISSION_CURRENT, which may arrive later, tells whether the mission is complete.
         """

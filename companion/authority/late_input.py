@@ -12,17 +12,18 @@ from collections import deque
 from companion.events import ClockRead, Command, InputBehind, Say, Severity
 
 _TOLD_AFTER_S = 1.5
-"""Longer than the period of the heartbeat, which shows the mode again after a short delay."""
+"""Late input is reported after this time. It is longer than the heartbeat period, because the first heartbeat
+after a short delay shows the mode again."""
 _PAUSE_S = 10.0
-"""Least time between two warnings, for a link that is late again and again."""
+"""Least time between two warnings, because a link may be late again and again."""
 _RATE_OVER_S, _RATE_WITHIN_S = 20.0, 60.0
 """Least and greatest time over which the rate of the vehicle's clock is measured."""
 _MOST_READINGS = 120
 _SLOW = 1e-3
 """A clock that loses less than this (s/s) is not called slow: the gate allows for as much."""
 _STEADY = 0.5
-"""Greatest difference between the rates of both halves of the time, as a fraction of the rate: a clock that
-only jumped is not called slow."""
+"""Greatest difference between the loss rates in the two halves of the measured time, as a fraction of the
+loss rate. A larger difference shows a clock that jumped rather than one that runs slow."""
 
 _RECENT = "its messages are recent and show the mode"
 _KEPT = "it keeps time and the companion is restarted"
@@ -61,13 +62,13 @@ class ClockRate:
 
 
 def _least_loss(first: ClockRead, last: ClockRead) -> float:
-    """What the clock lost at least between two readings (s/s), whatever the link's delays."""
+    """Least rate (s/s) at which the clock lost time between two readings, whatever the link's delays."""
     lost_s = (last.asked_s - last.time_boot_s) - (first.heard_s - first.time_boot_s)
     return lost_s / (last.heard_s - first.heard_s)
 
 
 def _loss(first: ClockRead, last: ClockRead) -> float:
-    """The same if each answer was made in the middle of its round trip."""
+    """Rate (s/s) at which the clock lost time, if each answer was sent in the middle of its round trip."""
     passed_s = (last.asked_s + last.heard_s - first.asked_s - first.heard_s) / 2.0
     return 1.0 - (last.time_boot_s - first.time_boot_s) / passed_s
 
@@ -93,8 +94,8 @@ class LateInput:
         self._rate.read(event)
 
     def step(self, now_s: float, behind: InputBehind | None) -> list[Command]:
-        """Take in whether the input of this step is late. Returns what the pilot of a vehicle that the
-        companion may fly is told."""
+        """Take in whether the input of this step is late. Returns messages to the pilot, if the companion may
+        fly the vehicle."""
         if behind is None or not behind.why:
             told, self._since_s, self._told_s = self._told_s, None, None
             self.why, self.text, self._slow_told = None, None, False

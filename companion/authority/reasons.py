@@ -35,7 +35,7 @@ class Refused:
     lost: str | None = None
     """The gate refused a command because authority was lost."""
     traffic: str | None = None
-    """Traffic is not avoided any longer: it has held the vehicle for as long as it may."""
+    """Traffic has spent its allowance (`authority.influence`), so the vehicle is asked to hold."""
 
 
 class Reasons:
@@ -79,7 +79,7 @@ class Reasons:
             case Trigger.CHANGED if handback is not None:
                 return handback.why_not
             case Trigger.SPENT:
-                return f"{refused.traffic}: the vehicle is to hold"
+                return f"{refused.traffic}: the vehicle is asked to hold"
             case Trigger.CONFLICT if result is not None:
                 return "conflict with " + ", ".join(t.track_id for t in result.tracks if t.conflict)
         return _REASONS[trigger]

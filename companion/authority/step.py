@@ -22,7 +22,8 @@ class Cycle(Protocol):
 
     @property
     def hold(self) -> str | None:
-        """Why the vehicle is to be asked to hold after the decision just made, in words; None: it is not."""
+        """Why the latest decision requires that the vehicle is asked to hold, in words; None if it does
+        not."""
 
     def note(self, now_s: float, result: LawResult, state: State) -> list[Command]:
         """Alerts, messages and log entries about the decision just made."""
@@ -36,4 +37,4 @@ class Step:
     velocity_ned_mps: Vec3 | None = None
     """Velocity to command after `commands` (NED, m/s); None to command none."""
     alerts_only: bool = False
-    """The law was not asked but the own state is usable: other aircraft may be judged for alerts only."""
+    """True if the law made no decision but the own state is usable, so that only alerts can be judged."""

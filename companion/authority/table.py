@@ -1,18 +1,16 @@
 """The table that decides who flies. A pair (state, trigger) that is not in it changes nothing.
 
-The rules, in the order in which they are judged at every step. The first trigger that the table lists for the
-state is taken:
+These are the rules in the order in which they are judged at every step. The first trigger that the table
+lists for the present state applies:
 
 1. The pilot wins. A mode that we did not command, seen once while we control the vehicle, ends our authority
-at
-   once, whichever mode follows it. Only `REARM` brings authority back.
+   at once, whichever mode follows it. Only `REARM` brings authority back.
 2. If the own state is not usable, or after a late loop, nothing is commanded (`FAULT`). The fault ends when
-its
-   cause has been gone for a while. It ends in standby, never directly in control.
-3. A vehicle that is disarmed or on the ground is released. 4. Control is taken only from standby, and only of
-a vehicle that is ready: armed, in the air, with a usable own
-   state and a path, and in a mode from which we may take it. If the autopilot flies its mission and is only
-   guarded (`WATCHING`), the vehicle is taken only because of a conflict. The mission is then handed back
+   its cause has been gone for a while. It ends in standby, never directly in control.
+3. A vehicle that is disarmed or on the ground is released.
+4. Control is taken only from standby, and only of a vehicle that is ready: armed, in the air, with a usable
+   own state and a path, and in a mode from which we may take it. If the autopilot flies its mission and is
+   only guarded (`WATCHING`), the vehicle is taken only because of a conflict. The mission is then handed back
    (`RESUMED`), or ends during the handback (`ENDED`).
 5. If traffic has held the vehicle for longer than it may (`SPENT`), the vehicle is left to the pilot.
 6. Among the states that control the vehicle, the law's conflict decides.

@@ -6,6 +6,5 @@ queue what is sent, `dialects` has one file for each firmware, and `dialect` wha
 `heard_vehicle.HeardVehicle` knows which vehicle is ours; `signing` and `belief` decide which frames are
 accepted on a link with a key. The subfolders hold what is requested from the vehicle (`polled`, `lists`,
 `modes`) and what is answered to others (`served`). This room may import the rooms before it in `ROOMS` of
-tests/test_imports.py: `errors`, `toml_reader`, `geometry`, `remote_id`, `events`, `geofence`, `config`,
-`avoidance` and `adjustable_parameters`. Start reading at `link`.
+tests/test_imports.py. Start reading at `link`.
 """

@@ -126,7 +126,7 @@ def too_fast(limits: LimitsConfig, vehicle: VehicleParameters, items: Sequence[M
     name = "limits.max_speed_mps" if lower is None else lower.name
     return (
         f"{who} is above {name} {limit_mps:g}: "
-        "when taken in a conflict, the vehicle slows down to that at once"
+        "in a conflict, the companion slows the vehicle down to that at once"
     )
 
 

@@ -36,7 +36,7 @@ class LinkCounts(RemoteIdCounts):
     information_requests: int = 0
     """Requests of ground stations for messages and files about the companion."""
     information_refused: int = 0
-    """Those of these requests that were damaged or asked for something that does not exist."""
+    """Requests for information that were damaged or asked for something that does not exist."""
     mode_requests: int = 0
     setpoints: int = 0
     setpoints_dropped: int = 0

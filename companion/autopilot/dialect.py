@@ -44,7 +44,7 @@ DIALECTS: dict[Firmware, Dialect] = {
 }
 """The dialect of each firmware, from the file of its name. `companion.events.Firmware` is the registry."""
 _OWN = dict(DIALECTS)
-"""The dialects that come with the companion, which a plug-in may replace for a time."""
+"""Built-in dialects, which `use` restores when no plug-in replaces them."""
 FIRMWARES = {dialect.autopilot: firmware for firmware, dialect in DIALECTS.items()}
 """MAV_AUTOPILOT values of the supported autopilots."""
 
@@ -67,16 +67,16 @@ _UNSUPPORTED = {
 
 
 def use(plugin: str | None) -> None:
-    """Let the dialect of a plug-in take the place of that of the firmware that it names, in this process.
+    """Replace the dialect of a firmware by that of a plug-in, which names the firmware, in this process.
 
-    A vehicle of that firmware itself is then no longer known, because its modes would be misread. Every link
-    and every core calls this with its configuration.
+    A vehicle with the original firmware is then no longer recognised, because its modes would be misread.
+    Every link and every core calls this with its configuration.
 
     Args:
         plugin: name of the plug-in; None for the dialects of this project.
 
     Raises:
-        ConfigError: the plug-in cannot be loaded, or brings no dialect that holds together.
+        ConfigError: the plug-in cannot be loaded, or its dialect is invalid (`check_dialect`).
     """
     wanted = dict(_OWN)
     if plugin is not None:
@@ -93,11 +93,12 @@ def use(plugin: str | None) -> None:
 
 
 def check_dialect(dialect: object) -> None:
-    """Check that a dialect holds together.
+    """Check that a dialect is complete and consistent.
 
     Raises:
         ConfigError: it is no `Dialect`, a commanded mode would not be read back as itself, a mode that the
-            companion needs is missing, or another firmware has its MAV_AUTOPILOT.
+            companion needs is missing, a wanted parameter is unknown, or another firmware has its
+            MAV_AUTOPILOT.
     """
     if not isinstance(dialect, Dialect):
         raise ConfigError(f"{dialect!r:.80} is not a companion.autopilot.dialects.definition.Dialect")

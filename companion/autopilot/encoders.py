@@ -133,8 +133,8 @@ def statustext(severity: int, text: str, text_id: int) -> list[Outgoing]:
     """STATUSTEXT. A longer text is split into chunks under `text_id` (1-65535) and cut off after ten of them.
 
     Characters that are not printable ASCII become "?", because ground stations differ in which others they
-    show, and names in a text come from unknown senders. The hyphen in the names of what is sensed
-    (`traffic.sensed`) becomes a plain one.
+    show, and names in a text come from unknown senders. The special hyphen in the ids of sensed tracks
+    (`events.sensed`) becomes a plain one.
     """
     plain = text.replace(SENSED_HYPHEN, "-").encode("ascii", "replace")
     data = bytes(code if 0x20 <= code < 0x7F else 0x3F for code in plain)
@@ -192,7 +192,7 @@ def adsb_vehicle(report: TrafficReport) -> Outgoing:
     """ADSB_VEHICLE of an aircraft heard by Remote ID, with the emitter type UAV.
 
     The altitude is above mean sea level, as the message defines it, and of the type GEOMETRIC: it comes from
-    a GNSS receiver. Speeds beyond the fields' range are reported as its end.
+    a GNSS receiver. Speeds beyond the fields' range are limited to it.
 
     Raises:
         ValueError: an address of more than 24 bits or a longer callsign than 8 characters, both bugs of ours.

@@ -15,7 +15,7 @@ parts share only which vehicle is ours (`heard_vehicle`) and the send queue (`ou
     polling             streams, parameters and the clock of the vehicle
     mode_and_speed      the mode that the vehicle is asked for, and the speed of its mission
     downloads           the vehicle's mission and fence
-    ground_stations     requests of other systems to us
+    requests            requests of other systems to us
     remote_id           Remote ID of all senders, and the vehicle's own Remote ID component
     belief, signing     which frames are accepted on a link with a signing key
 
@@ -23,7 +23,7 @@ The link listens to our vehicle. Vehicles forward messages of other systems, so 
 foreign and ignored. ADS-B traffic is the vehicle's own stream of what its receiver reported; a receiver's own
 frames, which ArduPilot forwards only with ADSB_TYPE = 0, would report the same aircraft twice. Remote ID
 comes from other senders by its nature; `remote_id` defines which of them are accepted. Of the requests of
-other systems, only those addressed to us are taken (`ground_stations`).
+other systems, only those addressed to us are taken (`served.requests`).
 
 With a signing key (`signing`), unsigned, forged and replayed frames are only counted, and everything that
 leaves is signed. SETUP_SIGNING is never obeyed, with or without a key.
@@ -116,7 +116,7 @@ class AutopilotLink:
             settings: our own parameters that ground stations may read and set. None: there are none.
             information: answers ground stations' requests for information about the companion. None: not
                 answered.
-            sensed: which sensors of obstacles are read. None: none.
+            sensed: which sensors of obstacles are read. None: none is read.
 
         Raises:
             ConfigError: `vehicle.component_id` is already the id of the Remote ID component.

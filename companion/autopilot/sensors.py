@@ -5,14 +5,15 @@ They come from components of our own vehicle's system that the configuration nam
 (PX4 sends on the distances that it fuses). ADSB_VEHICLE counts as a measurement only from a named component:
 from the autopilot it is what its receiver heard. The attitude comes from the autopilot alone.
 
-DISTANCE_SENSOR is read from ArduPilot alone, which reports by it what sensors wired to it (AP_Proximity) see
-in eight sectors around the nose, a message each, in one burst. A burst becomes one scan (`Burst`), because
-neighbouring sectors may see one thing. It is left out while finer measurements come (`FINER_S`): of a sensor
-whose messages ArduPilot takes in, too, it is only a coarse copy. ArduPilot sends nothing at all while no
-sector sees anything, as if the sensor had failed; SYS_STATUS tells the two apart.
+DISTANCE_SENSOR is read from ArduPilot alone. ArduPilot sends what its own proximity sensors (AP_Proximity)
+see in eight sectors, clockwise from the nose, as a burst of one message for each sector. A burst becomes one
+scan (`Burst`), because neighbouring sectors may see the same object. Bursts are ignored while finer
+measurements come (`FINER_S`): if ArduPilot also takes in the finer sensor's messages, a burst is only a
+coarse copy of them. ArduPilot sends nothing while no sector sees anything, just as if the sensor had failed;
+SYS_STATUS tells the two apart.
 
-Everything here is untrusted. How many messages a second become events is bounded, so that a flood costs
-neither time nor space in the record; more are counted and dropped.
+Everything here is untrusted. The number of messages a second that become events is bounded, so that a flood
+costs neither time nor space in the record. The rest is counted and dropped.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from companion.events import Attitude, Event, Firmware, ObstaclePoint, ObstacleS
 from companion.events.sensed import NOTHING, UNKNOWN
 
 SECTORS: Final = 72
-"""Distances in one OBSTACLE_DISTANCE."""
+"""Number of distances in one OBSTACLE_DISTANCE."""
 LEAST_STEP_DEG: Final = 0.1
 MOST_M: Final = 5000.0
 """Farthest obstacle that is believed."""
@@ -53,11 +54,12 @@ FIRST_ID: Final = 10
 """PROXIMITY_SENSOR_ID_START: the id of the sector ahead. The others follow clockwise. Lower ids are single
 rangefinders, and the one above is that of the distance upwards."""
 SETTLED_S: Final = 0.02
-"""A burst is over when nothing more of it came for so long."""
+"""A burst is over when no further message of it has come for this long."""
 FINER_S: Final = 3.0
-"""DISTANCE_SENSOR is not used for so long after an OBSTACLE_DISTANCE or OBSTACLE_DISTANCE_3D."""
+"""DISTANCE_SENSOR is not used for this long after an OBSTACLE_DISTANCE or OBSTACLE_DISTANCE_3D."""
 QUIET_S: Final = 0.5
-"""So long after the last burst, a sensor that the autopilot calls healthy sees nothing."""
+"""If the last burst is older than this and the autopilot reports the sensor as healthy, the sensor sees
+nothing."""
 RATES: Final = {
     _ATTITUDE: (100.0, 20.0),
     _DISTANCE: (20.0, 4.0),
@@ -66,7 +68,8 @@ RATES: Final = {
     _POINT: (600.0, 100.0),
     _AIRCRAFT: (100.0, 40.0),
 }
-"""Most messages of each kind that become events in a second, and at once; of DISTANCE_SENSOR, most bursts."""
+"""For each kind of message: how many a second, and how many at once, become events. Bursts of DISTANCE_SENSOR
+are counted as a whole."""
 
 _SCAN_AXES: dict[int, Literal["body", "nose", "north"]] = {
     mavlink.MAV_FRAME_GLOBAL: "north",
@@ -197,7 +200,7 @@ def proximity_sector(fields: Fields) -> Sector | None:
     that it was told to ignore, or not measured for a second.
 
     Raises:
-        PeerDataError: the direction is not the one of that id, or distances that are not ordered.
+        PeerDataError: the direction does not belong to that id, or the distances are not ordered.
     """
     _ms, least, most, cm, _kind, number, orientation = fields[:7]
     sector = number - FIRST_ID
@@ -222,19 +225,19 @@ class Burst:
         self._at_s = -math.inf
 
     def add(self, sector: Sector, now_s: float) -> ObstacleScan | None:
-        """Take in a sector. Returns the scan that it ends, if any: its own with the last sector, or the one
-        before if it is the first of a new burst."""
+        """Take in a sector. Returns a completed scan, if any: that of this burst if the sector is its last
+        one, or that of the previous burst if the sector begins a new one."""
         ended = self._finish() if sector.number in self._sectors else None
         self._sectors[sector.number], self._at_s = sector, now_s
         return self._finish() if sector.number == DIRECTIONS - 1 else ended
 
     def settled(self, now_s: float) -> ObstacleScan | None:
-        """The scan of a burst of which nothing more came for some time: ArduPilot leaves out sectors that
-        never saw anything."""
+        """The scan of a burst that had no further message for `SETTLED_S`; None if there is none. Such a
+        burst is complete, because ArduPilot leaves out sectors that never saw anything."""
         return self._finish() if self._sectors and not 0.0 <= now_s - self._at_s < SETTLED_S else None
 
     def _finish(self) -> ObstacleScan | None:
-        """The scan of what came so far; None if nothing is known of it."""
+        """The scan of the sectors received so far; None if none of them is known."""
         sectors, self._sectors = self._sectors, {}
         if all(one.cm == UNKNOWN for one in sectors.values()):
             return None
@@ -284,7 +287,7 @@ class Sensors:
         return frame.component_id in self._components and frame.message_id in SENSOR_READERS
 
     def event(self, frame: Frame, now_s: float) -> Event | None:
-        """Read a frame that `takes` has accepted; None if it says nothing yet, or if there are too many.
+        """Read a frame that `takes` has accepted; None if it gives no event (yet), or if there are too many.
 
         Raises:
             PeerDataError: it holds values that no correct sensor sends.
@@ -293,7 +296,7 @@ class Sensors:
         if message_id == _DISTANCE:
             sector = proximity_sector(unpack(message_id, frame.payload))
             self._counts.sensed += sector is not None
-            return None if sector is None else self._whole(self._burst.add(sector, now_s), now_s)
+            return None if sector is None else self._usable(self._burst.add(sector, now_s), now_s)
         if not self._admits(message_id, now_s):
             self._counts.sensed_dropped += 1
             return None
@@ -310,11 +313,12 @@ class Sensors:
         return event
 
     def advance(self, now_s: float) -> Event | None:
-        """What became whole by the time that passed."""
-        return self._whole(self._burst.settled(now_s), now_s)
+        """The scan of a burst that has ended without its last sector; None if there is none."""
+        return self._usable(self._burst.settled(now_s), now_s)
 
-    def _whole(self, scan: ObstacleScan | None, now_s: float) -> Event | None:
-        """A scan of ArduPilot's sectors, if it is to be used."""
+    def _usable(self, scan: ObstacleScan | None, now_s: float) -> Event | None:
+        """Return a scan of ArduPilot's sectors, or None if finer measurements or the rate limit exclude
+        it."""
         if scan is None or 0.0 <= now_s - self._finer_s < FINER_S:
             return None
         if not self._admits(_DISTANCE, now_s):

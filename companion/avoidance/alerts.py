@@ -92,13 +92,14 @@ def approach(position: Vec3, velocity: Vec3, radius_m: float, scale: float) -> A
 
 
 def time_to_cylinder(position: Vec3, velocity: Vec3, radius_m: float, height_m: float) -> float:
-    """Time (s) until both aircraft are nearer than a radius to the side and than a height, at the same time.
+    """Time (s) until the aircraft are horizontally within a radius and vertically within a height of each
+    other.
 
     Args:
         position, velocity: as for `approach`.
 
     Returns:
-        0: they are so now; infinite: they never will be.
+        0: they are so now; infinite: they never will be at their present velocities.
     """
     (n, e, d), (vn, ve, vd) = position, velocity
     outside2, v2, pv = n * n + e * e - radius_m * radius_m, vn * vn + ve * ve, n * vn + e * ve

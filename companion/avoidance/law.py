@@ -67,8 +67,8 @@ _by_id = attrgetter("track_id")
 
 
 ASIDE = "\N{PRIME}"
-"""In a `Neighbour.track_id`, before the number of another place where the same track may be. No id of a track
-contains it: Remote ID's are Latin-1."""
+"""Separator in a `Neighbour.track_id` before the number of an alternative place of the track. No track's own
+id contains it, because ids from Remote ID are Latin-1."""
 
 
 class Neighbour(msgspec.Struct, frozen=True, gc=False):
@@ -99,7 +99,8 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     proven: bool = False
     """True: a signature has verified its identity. What it says may still be false."""
     group: str = ""
-    """Allowance that it shares with tracks that appeared with it or sound like it; "": its own alone."""
+    """Group with which it shares an allowance: tracks that appeared together or resemble each other; "":
+    none."""
     growth_down_mps: float = 0.0
     """How fast its height deviates from its predictions."""
     turn_rps: float = 0.0
@@ -113,9 +114,9 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     known_s: float = 0.0
     """Time since it was first received."""
     yields: bool = False
-    """True: it may be forged to press on us, and is avoided only as far as all others allow."""
+    """True: it is avoided only as far as all others allow, because it may be forged to press on us."""
     presses: bool = False
-    """True: it yields, and has been inside its volume or follows us."""
+    """True: it yields because it has long been inside its volume, or follows us."""
     relative: bool = False
     """True: its position was measured from ours. Then the error of our position plays no part, and `sigma_m`
     is that of the measurement."""

@@ -1,8 +1,9 @@
 """The law of a plug-in, which is asked for a velocity and has limits, floor, ceiling and fence kept for it.
 
-The plug-in is untrusted. What it returns becomes the wish of a decision of our own kernel that knows no other
-aircraft, so that the command obeys the same limits and the same planes of the fence as that of every other
-law. An exception, or anything but three finite numbers, ends its use: `PluginLaw.fault` tells the authority.
+The plug-in is untrusted. The velocity that it returns becomes the wish in a decision of our own kernel
+without neighbours, so that the command obeys the same limits and the same planes of the fence as that of
+every other law. An exception, or anything but three finite numbers, ends its use; `PluginLaw.fault` reports
+that.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ _HALF_S = 0.5
 
 
 class OwnLaw(Protocol):
-    """What a plug-in of `dmuca.laws` makes of an `AvoidanceConfig`: the law of one aircraft and one path.
+    """The law of one aircraft and one path, as a plug-in of `dmuca.laws` makes it from an `AvoidanceConfig`.
 
-    It must depend on nothing but its arguments, and on what it kept of earlier ones: a replay asks again with
-    the same arguments and expects the same answers.
+    Its answers must depend only on the arguments of this and earlier calls, because a replay repeats the
+    calls and expects the same answers.
     """
 
     def choose(self, situation: Situation, follow: LawResult, limits: LimitsConfig) -> Vec3:
@@ -111,7 +112,7 @@ class PluginLaw(Law):
         )
 
     def _wish(self, situation: Situation, follow: LawResult) -> Vec3:
-        """The velocity that the plug-in asks for; none of it after a fault."""
+        """The velocity that the plug-in asks for; zero after a fault."""
         if self.fault is None and self._own_law is not None:
             seen = dataclasses.replace(situation, neighbours=tuple(self._take(situation.neighbours)))
             try:
@@ -125,8 +126,8 @@ class PluginLaw(Law):
 
 
 def _without_yielding(situation: Situation) -> Situation:
-    """The situation without aircraft that press on us, if another is near. Our own laws avoid them as far as
-    all others allow; a plug-in's knows no such order."""
+    """The situation without aircraft that press on us, if another aircraft is near. Our own laws avoid them
+    as far as all others allow, but the law of a plug-in has no such priorities."""
     here, others = situation.position_ned_m, situation.neighbours
     if all(not other.presses for other in others):
         return situation
@@ -142,10 +143,10 @@ def _now(other: Neighbour) -> Vec3:
 
 
 def _velocity(answer: Vec3) -> Vec3:
-    """What a plug-in returned, as three numbers.
+    """Convert the answer of a plug-in to a velocity of three finite numbers.
 
     Raises:
-        Exception: it is anything else.
+        Exception: the answer is anything else.
     """
     n, e, d = map(float, answer)
     if not all(abs(component) <= _MOST_MPS for component in (n, e, d)):  # False for NaN too

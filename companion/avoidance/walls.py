@@ -42,8 +42,8 @@ def walls_of(
         walls = _walls(number, area, frame)
         trouble = None if points is None else _trouble(area, np.array(walls), points, margin)
         if trouble is not None:
-            kind = "in" if area.inclusion else "out of"
-            raise ConfigError(f"fence: area[{number}] (to be stayed {kind}): the path {trouble}")
+            kind = "inclusion" if area.inclusion else "exclusion"
+            raise ConfigError(f"fence: area[{number}] ({kind}): the path {trouble}")
         rows += walls
     return np.array(rows) if rows else k.NO_WALLS
 

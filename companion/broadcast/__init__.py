@@ -3,9 +3,7 @@
 `broadcaster.Broadcaster` joins the parts: events in, commands out, with no socket or clock. `own_messages`
 makes Remote ID messages from our own state and the operator's position, `legal_floor` adds the transports
 that the region's law requires, `schedule.Schedule` decides when each message goes out, and
-`monitor.SelfMonitor` watches whether our own frames are received. `signer.Signer` stands behind the core and
-signs what was sent. This room may import the rooms before it in
-`ROOMS` of tests/test_imports.py: `errors`, `toml_reader`, `geometry`, `remote_id`, `events`, `geofence`,
-`config`, `avoidance`, `adjustable_parameters`, `autopilot`, `ownship` and `radio`; it uses `config`,
-`events`, `ownship` and `remote_id`. Start reading at `broadcaster`.
+`monitor.SelfMonitor` watches whether our own frames are received. `signer.Signer` runs after the core and
+signs what was sent. This room may import the rooms before it in `ROOMS` of tests/test_imports.py. Start
+reading at `broadcaster`.
 """

@@ -38,7 +38,7 @@ _WELL_AFTER_S = 5.0
 """Remote ID counts as working again after this long without trouble, so that the pilot is told of
 intermittent trouble only once."""
 _TELL_PERIOD_S = 5.0
-"""Least time from one report to the pilot until new trouble is reported."""
+"""Least time between two reports of trouble to the pilot."""
 _NOTHING = Decided({}, False, "no radio has reported yet")
 
 
@@ -59,7 +59,7 @@ class Broadcaster:
         self._monitor = SelfMonitor(config.remote_id.monitor_s)
         self._decided = _NOTHING
         self._floor: tuple[Mapping[str, int], frozenset[str], Decided] | None = None
-        """What the last decision was based on (requested rates, usable transports), and the decision."""
+        """Input of the last decision (requested rates, usable transports), and the decision."""
         self._started = False
         """Whether the broadcast has begun. It begins once a legal set of transports can be sent."""
         self._silent: frozenset[str] = frozenset()
@@ -167,8 +167,8 @@ class Broadcaster:
         return messages_of(self._config, own, self._operator, now_s, failed=failed)
 
     def _watch_module(self, own: Ownship, now_s: float) -> list[Command]:
-        """Resume our broadcast when the vehicle's module falls silent, also in flight: an aircraft with two
-        identities is avoided, one with none is not."""
+        """Resume our broadcast when the vehicle's module falls silent, also in flight. Others avoid an
+        aircraft with two identities, but not one that is not on the air."""
         self._module.note_armed(own.armed)
         if not self._module.fell_silent(now_s):
             return []

@@ -6,8 +6,8 @@ from __future__ import annotations
 class SelfMonitor:
     """Watches transports on which a receiver of ours can hear us, or whose radio reports its own state.
 
-    A frame is recognised by its radio address. A stranger who sends from our address can make a dead
-    transmitter look alive: the monitor finds faults, not attacks.
+    A frame is recognised by its radio address. A stranger who sends from our address can hide a failed
+    transmitter: the monitor finds faults, not attacks.
 
     Args:
         patience_s: a transport has failed if it was on the air for longer than this without being heard.

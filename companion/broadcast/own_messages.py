@@ -29,9 +29,8 @@ from companion.remote_id.messages import (
 OPERATOR_FRESH_S = 10.0
 """An operator position that has not been renewed for this long is no longer broadcast."""
 _STAMPS = 8
-"""Number of latest position timestamps that are remembered. As many ground stations may repeat their
-position. A clock that was set back by as many seconds has passed its old timestamps within
-`OPERATOR_FRESH_S`."""
+"""Number of remembered position timestamps. This many ground stations may repeat their positions. If a clock
+is set back by this many seconds, it has passed its old timestamps within `OPERATOR_FRESH_S`."""
 _ALTITUDES = (-999.5, 31767.5)
 _UTC = (1_546_300_801.0, 1_546_300_800.0 + 2**32 - 1)
 """Range of a System timestamp, from 2019 on."""
@@ -104,7 +103,7 @@ def messages_of(
 
 
 def kinds_of(config: RemoteIdConfig, operator: Operator) -> frozenset[type[Message]]:
-    """Kinds of the messages of `messages_of`, without making them."""
+    """Kinds of the messages that `messages_of` would return, without making them."""
     return frozenset((BasicId, Location, System, *map(type, _further(config, operator))))
 
 

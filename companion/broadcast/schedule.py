@@ -33,10 +33,11 @@ class _Lane:
 
     rate: int
     next_s: float
-    """When the requested rate makes the next Location due."""
+    """Time at which the requested rate makes the next Location due."""
     sent_s: dict[type[Message], float] = field(default_factory=dict)
     leaving_s: float | None = None
-    """Since when the transport is kept only until its successors are on the air."""
+    """Time since which the transport is kept only until its successors are on the air; None if it is in
+    use."""
 
 
 class Schedule:
@@ -124,7 +125,8 @@ class Schedule:
     def _due_kinds(
         self, transport: str, lane: _Lane, limits_s: Mapping[type[Message], float | None], now_s: float
     ) -> set[type[Message]]:
-        """Kinds of messages that are due. On a transport that sends packs, Location stands for all."""
+        """Kinds of messages that are due. On a transport that sends packs, Location stands for the whole
+        pack."""
         kinds: set[type[Message]] = set()
         if now_s >= lane.next_s - _EPSILON_S:
             kinds.add(Location)

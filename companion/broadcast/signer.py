@@ -1,15 +1,15 @@
 """Signs our own broadcasts by DRIP (RFC 9575): Manifests over what was sent, and Links of our registry.
 
-The signer adds broadcasts and changes none, so the law's floor is kept as without it. It stands behind the
-core: the record of a flight holds no signatures, and a replay needs no key.
+The signer adds broadcasts and changes none, so the region's legal minimum is kept as without it. It runs
+after the core, so that the record of a flight holds no signatures and a replay needs no key.
 
 - BLE 4: every page is a frame of its own, one every `PAGE_GAP_S` at most, with a parity page (section 6.1).
 - BLE 5 and Wi-Fi: an additional pack with the Basic ID and Location last sent and the pages, without parity
   (section 6.2). It holds the Location because a beacon stays on the air until the next one replaces it.
 
 A Manifest is sent every `period_s` (section 6.3: at least every 5 s), a Link every `LINK_PERIOD_S`. Every
-other Link is that of our own DET (at least once a minute). Those of its parents take turns in between (at
-least every 5 minutes).
+second Link is that of our own DET (required: once a minute). The Links of its parents take turns in between
+(required: every 5 minutes).
 """
 
 from __future__ import annotations
@@ -39,25 +39,25 @@ LINK_PERIOD_S: Final = 10.0
 PAGE_GAP_S: Final = 0.15
 """Least time between two pages on BLE 4."""
 VALID_S: Final = 120
-"""From VNB to VNA (section 3.2.4.3)."""
+"""Validity of a signature: time from VNB to VNA (section 3.2.4.3)."""
 _UTC_S: Final = (EPOCH_S + 1.0, EPOCH_S + 2.0**32 - VALID_S - 2.0)
-"""Earliest and latest time of signing."""
+"""Earliest and latest UTC (Unix seconds) at which something is signed."""
 MAX_LINKS: Final = 5
-"""Apex, RAA, HDA and our own need no more, and so many keep their periods."""
+"""Largest number of Links. The apex, RAA, HDA and we need no more, and this many keep their periods."""
 _PACKS_HASHED: Final = 5
-"""Hashes in a Manifest that is sent in a pack: five take seven pages, and with Basic ID and Location the pack
-is full."""
+"""Number of hashes in a Manifest that is sent in a pack. Five hashes take seven pages, which fill the pack
+together with Basic ID and Location."""
 _ON_AIR_S: Final = 2.0
-"""A transport on which no Location was sent for longer is not in use."""
+"""A transport on which no Location was sent for longer than this is not in use."""
 
 
 @dataclass(slots=True)
 class _Lane:
-    """What was sent on one transport, and what is to follow."""
+    """What was sent on one transport, and what is due on it."""
 
     previous: bytes
     manifest_s: float
-    """When the next Manifest is due."""
+    """Time at which the next Manifest is due."""
     link_s: float
     links: Iterator[bytes]
     sent: dict[bytes, bool] = field(default_factory=dict)
@@ -107,7 +107,7 @@ class Signer:
         self._lanes: dict[str, _Lane] = {}
 
     def add(self, broadcasts: Iterable[Broadcast], now_s: float, utc_s: float | None) -> list[Broadcast]:
-        """The broadcasts of this step and those that sign earlier ones.
+        """Return the broadcasts of this step, followed by those that sign earlier ones.
 
         Args:
             broadcasts: what the core sends in this step; it comes first and unchanged.
@@ -143,7 +143,7 @@ class Signer:
         if lane is None:
             lane = self._lanes[transport] = _Lane(self._nonce, now_s, now_s, self._turns())
         for message in messages:
-            # Of two Basic IDs the first is that by which receivers know us.
+            # Of two Basic IDs, receivers identify us by the first.
             if not (
                 type(message) is BasicId and message is not next(m for m in messages if type(m) is BasicId)
             ):
@@ -165,7 +165,7 @@ class Signer:
             del lane.sent[next(iter(lane.sent))]
 
     def _turns(self) -> Iterator[bytes]:
-        """Our own Link, then one of the others, without end."""
+        """Yield our own Link and one of the others in turn, without end."""
         own, others = self._links[:1], self._links[1:]
         turns = [link for other in others for link in (*own, other)] or own
         return itertools.cycle(turns)
@@ -201,7 +201,11 @@ class Signer:
 
 
 def _chosen(sent: dict[bytes, bool], most: int) -> list[bytes]:
-    """The newest of what was sent, in order: messages of other types at most half, the rest Locations."""
+    """The newest sent messages for a Manifest, in order. At most half of them are other than Locations.
+
+    Args:
+        most: largest number of messages.
+    """
     others = [part for part, is_location in sent.items() if not is_location][-(most // 2) :]
     locations = [part for part, is_location in sent.items() if is_location][len(others) - most :]
     kept = {*others, *locations}

@@ -1,8 +1,8 @@
 """Tells whether the vehicle has a Remote ID module of its own that broadcasts, so that we do not.
 
-One aircraft must have one identity. But an unsigned link carries forged reports too, and a report that
+One aircraft must have one identity. But reports on an unsigned link can be forged, and a forged report that
 silences our broadcast makes us invisible to everybody. So a module is believed only after it has reported for
-a while on the ground, and only for as long as it goes on reporting.
+a while on the ground, and only as long as it continues to report.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""The command line: `companion run`, `status`, `check`, `replay` and `remote-id`.
+"""The command line: `companion run`, `init`, `check`, `status`, `display`, `bench-test`, `replay`,
+`remote-id`.
 
 `cli` parses the arguments and calls the subcommands, and `entry_point` holds what all commands of this
 project share, such as exit codes and one-line errors. `check` is the preflight list, made of the `Finding`s

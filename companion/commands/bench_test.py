@@ -44,7 +44,7 @@ MEANING: Final = {
     "takeover-tried": "the pilot took over from a mission by mode switch and by stick, before this flight",
     "offset-50m": "both paths stay 50 m apart sideways, and both pilots knew the plan",
 }
-"""What the operator states by the name of each statement; nothing of it can be measured."""
+"""Meaning of each statement of the operator, by its name. None of them can be measured."""
 
 
 class Attempt(msgspec.Struct, frozen=True, kw_only=True):
@@ -98,7 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--run", dest="folder", type=Path, metavar="FOLDER", help="run folder of this stage")
     parser.add_argument(
         "--confirm", action="append", default=[], choices=MEANING, metavar="STATEMENT",
-        help="state one of the things below; once for each",
+        help="a statement of the operator, named as below; may be given several times",
     )  # fmt: skip
     parser.add_argument(
         "--evidence", type=Path, default=Path("bench-test.json"), metavar="FILE",

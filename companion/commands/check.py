@@ -440,6 +440,6 @@ def _judge_own(config: Config, probe: _Probe, found: Preflight) -> None:
 
 
 def _radio_remarks(config: Config, system_id: int) -> list[str]:
-    """What the sections of radios remark on the vehicle."""
+    """Report warnings of the radios' sections about the vehicle."""
     found = [entry.remark(system_id) for entry in config.radio]
     return [f"radio[{number}]{text}" for number, text in enumerate(found) if text is not None]

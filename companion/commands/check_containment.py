@@ -1,4 +1,4 @@
-"""What `companion check` says of the mission to be guarded, of the containment and of plug-ins."""
+"""Findings of `companion check` about the mission to be guarded, the containment and plug-ins."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def judge_containment(config: Config, found: Preflight) -> None:
     around = f"{side_m:g} m to the side, {above_m:g} m above the leg, down to the floor"
     found.green("containment", f"crewed traffic: {around}; {own.crewed_total_s:g} s, then {own.crewed_then}")
     if not kind_of(config.avoidance.law).keeps_fence:
-        text = f'avoidance.law = "{config.avoidance.law}" keeps only its heights'
+        text = f'avoidance.law = "{config.avoidance.law}" keeps only the heights of this volume'
         found.yellow("containment", text, 'set avoidance.law = "dmuca"')
     if side_m < config.avoidance.crewed_horizontal_m:
-        text = f"crewed_side_m {side_m:g} m is less than what avoidance.crewed_horizontal_m needs to the side"
+        text = f"crewed_side_m {side_m:g} m is less than the separation avoidance.crewed_horizontal_m"
         found.yellow("containment", text, "raise containment.crewed_side_m")
     if config.path is not None:
         places = [(w.lat_deg, w.lon_deg, w.alt_m) for w in config.path.waypoint]

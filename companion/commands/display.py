@@ -1,8 +1,8 @@
 """`companion display`: a page of the traffic around a flying aircraft, served by a process of its own.
 
 The process asks the status socket, as `companion status` does, at most twice a second however many browsers
-look. The flight knows nothing of browsers: one that hangs holds a thread of this process until a timeout. The
-page is one file that loads nothing else, so it works without a network.
+are connected. Browsers cannot affect the flight: one that hangs only holds a thread of this process until a
+timeout. The page is one file that loads nothing else, so it works without a network.
 
 Without a token the page is served on loopback only. A page of another host must not read the state: it could
 point a name of its own at this computer (DNS rebinding), so only requests for an address of this computer are
@@ -158,7 +158,7 @@ class Display(ThreadingHTTPServer):
             self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of a browser that went away."""
+        """Ignore a browser that closed its connection."""
 
 
 class _Handler(BaseHTTPRequestHandler):

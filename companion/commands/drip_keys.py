@@ -1,6 +1,6 @@
 """`companion remote-id key|endorse`: make keys for DRIP, and let a registry's key endorse others.
 
-The configured key is checked here before a flight, too.
+This module also checks the configured key before a flight.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ _TEXT_IDS: Final = (IdType.SERIAL_NUMBER, IdType.CAA_REGISTRATION)
 
 @dataclass(slots=True)
 class Aircraft:
-    """What was received from one aircraft."""
+    """Messages and reception data of one aircraft."""
 
     basic_id: BasicId | None = None
     """The first Basic ID with an identity. A second one (a registration in addition to the serial number)

@@ -1,6 +1,6 @@
 """`companion init`: writes a commented configuration, by options or by asking.
 
-What is written is loaded before it is kept, so that `companion check` accepts it.
+The written file is loaded before it is kept, so that `companion check` accepts it.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ class _Kind:
     example: str
     """Example of what follows the kind; empty if nothing does."""
     lines: tuple[tuple[str, str], ...]
-    """Its keys, with `{where}` for what follows the kind, and what is said of each."""
+    """Its keys, each with a comment. `{where}` stands for the text that follows the kind."""
     transports: tuple[str, ...]
-    """What is sent over it unless the user chooses."""
+    """Transports that are configured for it by default."""
 
 
 _KINDS: Final = {
@@ -106,7 +106,7 @@ _KINDS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What a configuration is written for."""
+    """The choices from which a configuration is written."""
 
     firmware: Literal["ardupilot", "px4"] = "ardupilot"
     link: str = _LINK
@@ -114,14 +114,14 @@ class Choices:
     region: str = "none"
     use: str = "watch"
     radios: tuple[tuple[str, str], ...] = (("null", ""),)
-    """Kind of each radio, and what it is reached by."""
+    """Kind of each radio, and its channel, interface or address."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `companion init`, which calls `run`."""
     parser.description = (
-        "Write a commented configuration. What no option says is asked for in a terminal, and else takes its "
-        "default."
+        "Write a commented configuration. Choices without an option are asked for in a terminal; elsewhere "
+        "they take their defaults."
     )
     parser.epilog, parser.formatter_class = _EPILOG, argparse.RawDescriptionHelpFormatter
     firmware = parser.add_mutually_exclusive_group()
@@ -131,8 +131,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--link", help=f"link to the autopilot (default: {_LINK})")
     parser.add_argument("--uas-id", metavar="ID", help="the aircraft's serial number by CTA-2063-A")
     regions = names("regions", ".toml")
-    parser.add_argument("--region", choices=regions, help="whose Remote ID law is kept (default: none)")
-    parser.add_argument("--use", choices=("watch", "guard"), help="what it may do (default: watch)")
+    parser.add_argument("--region", choices=regions, help="region of the Remote ID law (default: none)")
+    parser.add_argument("--use", choices=("watch", "guard"), help="use of the companion (default: watch)")
     kinds = ", ".join(f"{name}={kind.example}".rstrip("=") for name, kind in _KINDS.items())
     parser.add_argument("--radio", action="append", metavar="KIND=WHERE",
                         help=f"a radio: {kinds}; may be given several times (default: null)")  # fmt: skip
@@ -250,14 +250,12 @@ def _text(choices: Choices, path: Path) -> str:
         path=path,
         every_key=shipped("config/companion.toml"),
         wiring=_WIRING[f"{choices.firmware} {link}"],
-        uas_id=_line(
-            f"uas_id = {_quoted(choices.uas_id)}", "serial number by CTA-2063-A, on the air for all"
-        ),
+        uas_id=_line(f"uas_id = {_quoted(choices.uas_id)}", "serial number by CTA-2063-A; it is broadcast"),
         link=_line(f"link = {_quoted(choices.link)}", "udpin:, udpout:, tcp:HOST:PORT or serial:DEVICE:BAUD"),
         use=_line(f'use = "{choices.use}"', "watch: never command. guard: take the vehicle off its mission"),
         speed=_line("max_speed_mps = 5.0", speed),
-        region=_line(f"region = {_quoted(choices.region)}", "whose law is kept: us, eu, jp, none, or a file"),
-        transports=_line(f"transports = [{transports}]", "ble4, ble5, wifi (beacon), nan: sent on together"),
+        region=_line(f"region = {_quoted(choices.region)}", "whose law applies: us, eu, jp, none, or a file"),
+        transports=_line(f"transports = [{transports}]", "ble4, ble5, wifi (beacon), nan; used together"),
         radios="\n\n".join(_radio_table(kind, where) for kind, where in choices.radios),
     )
 
@@ -283,23 +281,23 @@ def _quoted(text: str) -> str:
 
 _TEMPLATE: Final = """\
 # Written by `companion init`. Check it with: companion check --config {path}
-# A key behind "#" shows its default or an example. Every key stands, explained, in
+# A key after "#" shows its default or an example. This file explains every key:
 # {every_key}
 
 [identity]
 {uas_id}
-# registration_id = "JU322627C69E"  # the state's number of the aircraft, sent beside the serial number
+# registration_id = "JU322627C69E"  # registration by the state; broadcast in addition
 
 [vehicle]
 {wiring}
 {link}
-# system_id = 0                     # vehicle to fly with; 0: the only one on the link, of two none
-# signing_key = "signing.key"       # key file of MAVLink 2 signing (chmod 600); none: nothing is checked
+# system_id = 0                     # vehicle to use; 0: the only one on the link, refused if there are two
+# signing_key = "signing.key"       # key file of MAVLink 2 signing (chmod 600); none: no signing
 
 [flight]
 {use}
-                                    # for a conflict alone. fly: command the timed trajectory (docs/uses.md)
-rearm = "disarm"                    # after the pilot took over: by "mode", "disarm" or "never"
+                                    # only for a conflict. fly: command the timed trajectory (docs/uses.md)
+rearm = "disarm"                    # how authority returns after a takeover: "mode", "disarm" or "never"
 
 [limits]
 {speed}
@@ -310,24 +308,24 @@ max_descent_mps = 2.0
 # fence = "fence.toml"              # or "vehicle": the geofence that the vehicle holds
 
 [avoidance]
-conflict_radius_m = 5.0             # each aircraft's; two of them are kept apart
-# crewed_horizontal_m = 610.0       # kept from crewed traffic (ADS-B) to the side,
-# crewed_vertical_m = 77.0          # or in height; both contain well clear of ASTM F3442
+conflict_radius_m = 5.0             # of each aircraft; two keep at least the sum of both apart
+# crewed_horizontal_m = 610.0       # horizontal separation from crewed traffic (ADS-B), or alternatively
+# crewed_vertical_m = 77.0          # vertical separation; both contain well clear of ASTM F3442
 
 [remote_id]
 {region}
 {transports}
-rate = 2                            # messages a second on each
-# operator_id = "FIN87astrdge12k8-xyz"  # EU: whole; the three secret characters are checked, never sent
+rate = 2                            # Location messages a second on each transport
+# operator_id = "FIN87astrdge12k8-xyz"  # EU: the full number; its three secret characters are never sent
 
 [atmc]
-# policy = "rule"                   # who chooses transports and rates in flight: "rule", "fixed", "atmc" or
-                                    # a file; without it they stay as [remote_id] says
+# policy = "rule"                   # what chooses transports and rates in flight: "rule", "fixed", "atmc" or
+                                    # a file; without it they stay as configured in [remote_id]
 
 [record]
-# folder = "runs"                   # from where the companion is started
-keep_free_mb = 500.0                # below this much free disk nothing is recorded; the flight goes on
-# delete_oldest = true              # old runs make room; without it a full disk ends the recording
+# folder = "runs"                   # relative to the folder in which the companion is started
+keep_free_mb = 500.0                # with less free disk space nothing is recorded; the flight goes on
+# delete_oldest = true              # delete the oldest runs; without it a full disk ends the recording
 
 {radios}
 """

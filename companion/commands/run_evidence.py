@@ -1,4 +1,4 @@
-"""What the record of a run shows for a stage of `companion bench-test`: checks with measured values."""
+"""Checks of a run's record for a stage of `companion bench-test`, with measured values."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ BENCH_S, IN_AIR_S, WATCHED_S, TOGETHER_S = 60.0, 120.0, 60.0, 60.0
 CEILING_ROOM_M = 30.0
 """Least room between the greatest height that was flown and the configured ceiling, in the stage "guard"."""
 LEAST_APART_M, MET_WITHIN_M = 25.0, 100.0
-"""Stage "pair": with 50 m of offset, two aircraft come no nearer than the one, and nearer than the other."""
+"""Stage "pair", with 50 m of offset: two aircraft must keep the first distance, and come within the
+second."""
 _STALL_S = 0.25
 _SETTLED_S = 10.0
 _BEHIND_SHARE = 0.01
@@ -87,7 +88,7 @@ def read_run(folder: Path) -> Seen:
     """Read a run folder of `companion run`.
 
     Raises:
-        ConfigError: it is none, or was not recorded to its end.
+        ConfigError: it is no run folder, or the run was not recorded to its end.
         PeerDataError: its record is damaged.
     """
     files = sorted(folder.glob("*.events"))

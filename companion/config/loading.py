@@ -119,7 +119,7 @@ def _public_key(text: str, key: str, path: Path) -> str:
 
 
 def _signing(signing: SigningConfig, path: Path) -> SigningConfig:
-    """The section with an absolute path of its key, which is not read here, and with its links read."""
+    """The signing section with its links read and the path of its key made absolute. The key is not read."""
     links = []
     for number, text in enumerate(signing.links):
         try:

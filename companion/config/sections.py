@@ -24,11 +24,11 @@ CHOOSER_WORDS = ("rule", "fixed")
 """Values of `atmc.policy` other than a path: "rule" is the one-line rule, "fixed" the best fixed legal
 set."""
 _PLUGIN = "plugin:"
-"""What a value of `atmc.policy` begins with that names a plug-in."""
+"""Prefix of a value of `atmc.policy` that names a plug-in."""
 
 
 def policy_plugin(policy: str | None) -> str | None:
-    """Name of the plug-in that a value of `atmc.policy` means, as in "plugin:mine"; None: it means none."""
+    """Name of the plug-in in a value of `atmc.policy` such as "plugin:mine"; None if the value names none."""
     return policy.removeprefix(_PLUGIN) if policy is not None and policy.startswith(_PLUGIN) else None
 
 
@@ -50,8 +50,8 @@ class VehicleConfig(_Section, frozen=True):
     """MAVLink system ID of our vehicle. 0: the only autopilot on the link; if there are two, none is used."""
     component_id: Annotated[int, Meta(ge=1, le=255)] = 191
     dialect: Annotated[str, Meta(min_length=1)] | None = None
-    """Name of a plug-in whose dialect takes the place of the firmware that it resembles; None: ArduPilot and
-    PX4 as they are."""
+    """Name of a plug-in whose dialect replaces that of the firmware that it resembles. None: use the built-in
+    dialects of ArduPilot and PX4."""
     wait_s: Annotated[float, Meta(gt=0, le=600)] = 10.0
     """How long to wait for the vehicle's first heartbeat."""
     stale_after_s: Annotated[float, Meta(ge=0.2, le=5)] = 1.0
@@ -152,27 +152,27 @@ class AvoidanceConfig(_Section, frozen=True):
 
 
 class ContainmentConfig(_Section, frozen=True):
-    """How far and how long traffic may move the aircraft whose identity no signature has verified."""
+    """How far and how long traffic whose identity no signature has verified may move the aircraft."""
 
     side_m: Annotated[float, Meta(ge=30, le=100_000)] = 150.0
-    """How far to the side of the mission's or path's convex hull the aircraft is taken at most."""
+    """Greatest horizontal distance from the convex hull of the mission or path."""
     below_m: Annotated[float, Meta(ge=10, le=10_000)] = 30.0
-    """How far below the present leg, and never below the floor."""
+    """Greatest distance below the present leg. The floor applies in any case."""
     above_m: Annotated[float, Meta(ge=10, le=10_000)] = 30.0
-    """How far above the present leg, and never above the ceiling."""
+    """Greatest distance above the present leg. The ceiling applies in any case."""
     track_s: Annotated[float, Meta(ge=10, le=86_400)] = 300.0
-    """How long one track may be in conflict with the aircraft while it is held."""
+    """How long one track may be in conflict with the aircraft while the companion flies it."""
     inside_s: Annotated[float, Meta(ge=10, le=86_400)] = 90.0
-    """How long of that the aircraft may be inside the track's volume: separation and margins."""
+    """Part of `track_s` for which the aircraft may be inside the track's volume (separation and margins)."""
     group_s: Annotated[float, Meta(ge=10, le=86_400)] = 450.0
-    """The same for all tracks of one group together."""
+    """As `track_s`, for all tracks of one group together."""
     total_s: Annotated[float, Meta(ge=10, le=86_400)] = 600.0
-    """How long all of them may hold the aircraft, the way back included."""
+    """How long the companion may fly the aircraft because of all these tracks together, way back included."""
     refill_s: Annotated[float, Meta(ge=60, le=86_400)] = 3600.0
-    """Time in which a spent allowance is whole again."""
+    """Time in which a spent allowance refills completely."""
     then: Literal["resume", "hold"] = "resume"
-    """What happens when `total_s` is spent. resume: fly on without avoiding them, and warn. hold: ask the
-    vehicle to hold, and leave it to the pilot."""
+    """What happens when `total_s` is spent. resume: fly on without avoiding these tracks, and warn. hold: ask
+    the vehicle to hold, and leave it to the pilot."""
     crewed_side_m: Annotated[float, Meta(ge=30, le=100_000)] | None = None
     """`side_m` for crewed traffic (ADS-B), which may also press the aircraft down to the floor. None:
     1.25 times avoidance.crewed_horizontal_m, at least `side_m`."""
@@ -219,18 +219,18 @@ class SensedConfig(_Section, frozen=True):
     ADSB_VEHICLE are measurements. 196 is MAV_COMP_ID_OBSTACLE_AVOIDANCE. The first two are also taken from
     the autopilot, and DISTANCE_SENSOR from an ArduPilot alone."""
     min_range_m: Annotated[float, Meta(ge=0.2, le=20)] = 1.0
-    """Nearer measurements are of the own vehicle (rotors, landing gear), and not used."""
+    """Nearer measurements are not used: they show the own vehicle (rotors, landing gear)."""
     max_range_m: Annotated[float, Meta(ge=5, le=5000)] = 300.0
     """Farther measurements are not used."""
     range_sigma_m: Annotated[float, Meta(ge=0.02, le=20)] = 0.3
     """Error of a measured distance, one standard deviation."""
     bearing_sigma_deg: Annotated[float, Meta(ge=0.1, le=20)] = 1.5
-    """Error of a direction besides that of the sector's width: mounting and heading, one standard
-    deviation."""
+    """Error of a measured direction by mounting and heading, one standard deviation. The width of the sector
+    adds to it."""
     latency_s: Annotated[float, Meta(ge=0, le=1)] = 0.1
     """Time from a measurement to its arrival here."""
     ground_m: Annotated[float, Meta(ge=-100, le=100)] = 3.0
-    """What is measured below this height above home is taken for the ground."""
+    """Measurements below this height above home count as ground."""
 
 
 class SigningConfig(_Section, frozen=True):

@@ -2,7 +2,7 @@
 
 They are `msgspec` structs (frozen, slotted, compared by value), so that the recorder writes them and the
 replay reads them without a second definition. Units are SI, vectors are local NED, and unknown values are
-`None`. Each file of this package holds those about one subject; import them all from here.
+`None`. Each file of this package holds the types of one subject; import all of them from here.
 """
 
 from __future__ import annotations

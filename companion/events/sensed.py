@@ -10,23 +10,24 @@ from companion.events.traffic import AdsbVehicle
 from companion.geometry import Vec3
 
 SENSED_HYPHEN = "\N{NON-BREAKING HYPHEN}"
-"""Stands in the names of sensed tracks. No id of a transmitted track contains it: Remote ID's are Latin-1,
-and ADS-B's are digits. So nobody's name on the air is taken for a measurement."""
+"""Character in every sensed track's id. No transmitter can send it, because ids from Remote ID are Latin-1
+and those from ADS-B are digits, so a received track cannot pass for a measured one."""
 SENSED = f"sensed{SENSED_HYPHEN}"
-"""What the names of sensed tracks begin with."""
+"""Prefix of the ids of sensed tracks."""
 SENSED_WALL = f"{SENSED}wall "
-"""What the names of places of sensed surfaces begin with."""
+"""Prefix of the ids of places on sensed surfaces."""
 UNKNOWN, NOTHING = -1, 0
 """Values of `ObstacleScan.distances_cm`: not measured, and measured but nothing is there."""
 
 
 def is_sensed(track_id: str) -> bool:
-    """Whether a track is one that a sensor aboard has seen, by its name."""
+    """Whether a track's id is that of a track measured by a sensor aboard."""
     return track_id.startswith(SENSED)
 
 
 def thing_of(track_id: str) -> str:
-    """Name of what a track is of: places of sensed surfaces are all of one thing, others are their own."""
+    """Name of the object behind a track: one name for all places on sensed surfaces, else the track's own
+    id."""
     return SENSED_WALL.rstrip() if track_id.startswith(SENSED_WALL) else track_id
 
 
@@ -42,13 +43,13 @@ class Attitude(Event, frozen=True):
 
 class ObstacleScan(Event, frozen=True):
     """OBSTACLE_DISTANCE, or ArduPilot's burst of DISTANCE_SENSOR: distances around the vehicle, one for each
-    sector of a plane. None is known if the sensor works and ArduPilot sends nothing."""
+    sector of a plane. If the sensor works and ArduPilot sends no burst, all are UNKNOWN."""
 
     component: int
     """Component that measured."""
     axes: Literal["body", "nose", "north"]
-    """What the angles are measured in: the vehicle's own plane, which rolls and pitches with it; the level
-    plane, from the nose; the level plane, from north."""
+    """Reference of the angles. body: the vehicle's own plane, which rolls and pitches with it. nose: the
+    level plane, from the nose. north: the level plane, from north."""
     first_deg: float
     """Angle of the middle of the first sector, clockwise seen from above."""
     step_deg: float
@@ -56,7 +57,7 @@ class ObstacleScan(Event, frozen=True):
     distances_cm: tuple[int, ...]
     """Distance in each sector, or UNKNOWN or NOTHING."""
     max_cm: int
-    """How far it sees."""
+    """Range of the sensor."""
 
 
 class ObstaclePoint(Event, frozen=True):
@@ -68,12 +69,12 @@ class ObstaclePoint(Event, frozen=True):
     local: from the origin of the autopilot's local frame, NED."""
     position_m: Vec3
     number: int | None = None
-    """Number that the sensor gave to this obstacle, for as long as it follows it; None: it follows none."""
+    """Number under which the sensor tracks this obstacle; None if it tracks no obstacles."""
 
 
 class SensedAircraft(Event, frozen=True):
-    """ADSB_VEHICLE of a radar or camera aboard: an aircraft that it follows. `icao` is the sensor's
-    number."""
+    """ADSB_VEHICLE of a radar or camera aboard: an aircraft that it tracks. `icao` is the number that the
+    sensor gave to the aircraft."""
 
     component: int
     report: AdsbVehicle

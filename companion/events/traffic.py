@@ -57,12 +57,12 @@ class TrafficReport(Command, frozen=True):
     lon_deg: float
     """Place at the time of the aircraft's message."""
     alt_msl_m: float | None
-    """None while it reports no height."""
+    """Altitude above mean sea level; None while the aircraft reports none."""
     velocity_ned_mps: Vec3
     hovers: bool
-    """Its direction of flight means nothing."""
+    """True if the aircraft hovers; its direction of flight is then meaningless."""
     age_s: float
-    """Age of its message."""
+    """Age of the aircraft's message."""
 
 
 class TrackFlagged(Command, frozen=True):

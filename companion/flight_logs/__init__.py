@@ -2,7 +2,7 @@
 
 `dataflash` and `ulog` read the two formats as streams. `ardupilot` and `px4` turn their messages into the
 events that a companion's link would make of the same vehicle's MAVLink, in `Step`s. `logged` holds what both
-share: the order of time, and what is found out about the vehicle while its log is read.
+share: putting events in order of time, and facts about the vehicle that are found while its log is read.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """A DataFlash log's messages as events: what a companion's link would make of the same vehicle's MAVLink.
 
-Message and field names are those of ArduPilot's log documentation (https://ardupilot.org/copter/docs/logmessages.html).
+Message and field names are those of ArduPilot's log documentation
+(https://ardupilot.org/copter/docs/logmessages.html).
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ _ALARMING = re.compile(
     r"|\blow (battery|voltage)|inconsistent|timeout|refused|thrust loss|stopped aiding|disarming",
     re.IGNORECASE,
 )
-"""Texts have no severity in the log. Those with such words are counted as warnings."""
+"""Texts have no severity in the log. Those that contain one of these words count as warnings."""
 _VEHICLES = {
     1: mavlink.MAV_TYPE_GROUND_ROVER,
     2: mavlink.MAV_TYPE_QUADROTOR,
@@ -101,7 +102,7 @@ _VELOCITY_AGE_S = 1.0
 
 
 def read_steps(stream: BinaryIO, name: str, about: About) -> Iterator[Step]:
-    """Yield a step for each message that tells something, in order of time.
+    """Yield a step for each message that makes an event, in order of time.
 
     Times are the vehicle's own, since it started. UTC is that of its GNSS receiver.
 
@@ -254,7 +255,7 @@ class _Vehicle:
         return found
 
     def _gps_accuracy(self, _s: float, fields: Fields, _: DataFlashReader) -> list[AnyEvent | AnyCommand]:
-        """It follows the GPS message, so it counts for the next one."""
+        """Take in GPA. It follows the GPS message, so its accuracies are used for the next GPS message."""
         if int(fields.get("I", 0)) == 0:
             values = [float(fields[name]) if name in fields else 0.0 for name in ("HAcc", "VAcc", "SAcc")]
             ellipsoid_m = float(fields["AEl"]) if "AEl" in fields else None
@@ -353,7 +354,7 @@ class _Vehicle:
         return [VelocitySetpoint(velocity_ned_mps=(north, east, -up))]
 
     def _adsb(self, _s: float, fields: Fields, _: DataFlashReader) -> list[AnyEvent | AnyCommand]:
-        """The numbers have the units of ADSB_VEHICLE. Which of them are valid is not logged."""
+        """Take in ADSB. Its fields have the units of ADSB_VEHICLE; the log does not say which are valid."""
         lat, lng = float(fields["Lat"]) / 1e7, float(fields["Lng"]) / 1e7
         icao = int(fields["ICAO_address"])
         if not on_earth(lat, lng) or not 0 <= icao <= 0xFFFFFF:

@@ -146,7 +146,8 @@ class DataFlashReader:
         self._at = at
 
     def _is_torn(self) -> bool:
-        """Whether nothing is left, or the beginning of a message whose rest follows or is missing."""
+        """Whether the rest of the buffer is empty or the beginning of a message, whose end follows or is
+        missing."""
         left = len(self._buffer) - self._at
         if left < 3:
             return HEAD.startswith(self._buffer[self._at : self._at + 2])

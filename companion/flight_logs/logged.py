@@ -1,4 +1,4 @@
-"""What is common to the logs of both firmwares: the order of time, and what a log tells of its vehicle."""
+"""Common parts of both log readers: putting events in order of time, and facts about the logged vehicle."""
 
 from __future__ import annotations
 
@@ -45,17 +45,17 @@ class LogCounts:
     messages: int = 0
     """Whole messages, of all kinds."""
     damaged_spans: int = 0
-    """Places where bytes had to be skipped to find the next message."""
+    """Number of places where bytes had to be skipped to find the next message."""
     damaged_bytes: int = 0
     torn_bytes: int = 0
     """Bytes at the end that are no whole message."""
     dropouts: int = 0
-    """Places where the autopilot itself could not write (ULog)."""
+    """Number of places where the autopilot itself could not write (ULog)."""
     dropouts_s: float = 0.0
     bad_values: int = 0
     """Messages with impossible values or time stamps; they are left out."""
     restarts: int = 0
-    """Times at which the vehicle's clock began again."""
+    """Number of times that the vehicle's clock started again."""
 
 
 @dataclass(slots=True)
@@ -72,7 +72,7 @@ class About:
     first_m: float | None = None
     """Altitude of the first position, if that stands for home because home is not logged."""
     has_fix: bool = False
-    """There was a three-dimensional GNSS fix."""
+    """Whether there was a three-dimensional GNSS fix."""
     other_setpoints: int = 0
     """Number of setpoints that are not a velocity in north, east, down."""
     wind: array[float] = field(default_factory=lambda: array("d"))
@@ -147,7 +147,7 @@ class About:
         return tuple(found)
 
     def note(self, event: AnyEvent | AnyCommand) -> None:
-        """Take in what an event tells of the vehicle."""
+        """Take in the facts about the vehicle that an event holds."""
         self.seen.add(type(event))
         if isinstance(event, GnssFix):
             self.has_fix |= event.fix_type >= FIX_3D
@@ -198,7 +198,7 @@ class TimeOrder:
             yield self._pop()
 
     def shifted(self, time_s: float) -> float:
-        """A time stamp on the clock of the steps, which goes on where the vehicle's began again."""
+        """A time stamp on the clock of the steps, which continues where the vehicle's clock started again."""
         return time_s + self._shift_s
 
     def _jump(self, first: tuple[float, AnyEvent | AnyCommand], *, back: bool) -> Iterator[Step]:

@@ -69,7 +69,7 @@ _NEW_MODES = {6: (3, 2), 8: (11, 0)}
 _ALL_SPEEDS = ("vx", "vy", "vz")
 _FLAG_COORDS, _FLAG_ALTITUDE, _FLAG_HEADING, _FLAG_VELOCITY, _FLAG_CALLSIGN = 1, 2, 4, 8, 16
 _EARLIEST_UTC_S = 946_684_800.0
-"""The year 2000. An earlier time of the receiver is none."""
+"""The year 2000. With an earlier time, the receiver does not know UTC."""
 _VELOCITY_AGE_S = 1.0
 _GEOMETRIC = 1
 _GOOD_TO_ARM = mavlink.MAV_ODID_ARM_STATUS_GOOD_TO_ARM
@@ -77,7 +77,7 @@ _MODULE = mavlink.MAV_COMP_ID_ODID_TXRX_1
 
 
 def read_steps(stream: BinaryIO, name: str, about: About) -> Iterator[Step]:
-    """Yield a step for each message that tells something, in order of time.
+    """Yield a step for each message that makes an event, in order of time.
 
     Times are the vehicle's own, since it started. UTC is that of its GNSS receiver.
 
@@ -292,7 +292,7 @@ class _Vehicle:
         return []
 
     def _setpoint(self, _s: float, fields: Fields) -> list[AnyEvent | AnyCommand]:
-        """What is flown in offboard mode. In other modes the autopilot makes its setpoints itself."""
+        """Take in a setpoint in offboard mode. In other modes the autopilot makes its setpoints itself."""
         if self._nav_state != _OFFBOARD:
             return []
         velocity = fields["velocity"] if "velocity" in fields else [fields[name] for name in _ALL_SPEEDS]

@@ -47,7 +47,7 @@ class Logged:
 
 @dataclass(slots=True)
 class Told:
-    """What the log says once about the vehicle."""
+    """Facts about the vehicle that the log states once."""
 
     start_s: float = 0.0
     info: dict[str, str | float] = field(default_factory=dict)
@@ -208,7 +208,7 @@ class UlogReader:
         return kind in _KINDS
 
     def _skip(self) -> bool:
-        """Go on behind the next synchronisation mark of this part; False if there is none."""
+        """Continue after the next synchronisation mark of this part; False if there is none."""
         start = self._offset + self._at
         self._counts.damaged_spans += 1
         while True:

@@ -33,20 +33,20 @@ _DRIFT = 1e-3
 _CLOCKLESS_S = 10.0
 _SLOW = 0.05
 """Largest rate at which the vehicle's clock may fall behind ours, if its answers prove that it does. Crystals
-are a thousand times better; a simulator on a busy computer is not."""
+are a thousand times better, but a simulator on a busy computer is not."""
 _MIXED_S, _LONGEST_MIXED_S = 0.25, 10.0
 """Autopilots stamp some messages when they are measured and others when they are sent. On a link that keeps
-their order, a message is no more than `_MIXED_S` older than one that came before it. A link that mixes old
-and new messages is not relied on for the delay of the old one, but for no longer than `_LONGEST_MIXED_S`:
-a vehicle's clock that has restarted looks like a long delay."""
+their order, a message is at most `_MIXED_S` older than one that came before it. A larger step back shows that
+the link mixes old and new messages. Modes are then not trusted for as long as the old message was late, but
+for `_LONGEST_MIXED_S` at most, because a restart of the vehicle's clock looks like a long delay."""
 _RESTART_S = 1.0
-"""A clock that has restarted goes back by more than this, after a longer silence or by more than
-`_LONGEST_MIXED_S`."""
+"""A clock counts as restarted if it goes back by more than this, either after a silence of more than this or
+so far that its messages seem late by more than `_LONGEST_MIXED_S`."""
 
 _GROUND_MPS = 2.0
 
 _MOVED_M = 10.0
-"""The distances to the fence are measured anew after this movement."""
+"""The distances to the fence are measured again after the vehicle has moved this far."""
 _NOWHERE = math.inf, math.inf
 
 Edge = tuple[float, float, float, float]
@@ -80,7 +80,7 @@ class Bounds:
         self._clock_s = -math.inf
         """Time at which a message last carried the vehicle's clock."""
         self._read_s = -math.inf
-        """Time of the last answer about that clock."""
+        """Time of the last TIMESYNC answer about that clock."""
         self._mixed_until_s = -math.inf
         """Time until which old messages may still arrive among new ones."""
         self._frame: LocalFrame | None = None
@@ -89,8 +89,8 @@ class Bounds:
         self._walls_at = _NOWHERE
         """Place (north, east) from which the distances in `_walls` were measured."""
         self._slowed: dict[int, tuple[float, float, float]] = {}
-        """For each bound: time since which it has been approached too fast, flown speed towards it at that
-        time, and latest time at which it was approached too fast."""
+        """For each bound: the times at which it was first and last approached too fast, with the flown speed
+        towards it at the first. Order: first time, speed, last time."""
         self._last: Vec3 = (0.0, 0.0, 0.0)
         self._last_s = -math.inf
         self._budget_mps = 0.0
@@ -104,7 +104,7 @@ class Bounds:
             self._mixed_until_s = max(self._mixed_until_s, now_s + min(delay_s, _LONGEST_MIXED_S))
         silent = now_s - self._clock_s > _RESTART_S
         if time_boot_s < self._stamp_s - _RESTART_S and (silent or delay_s > _LONGEST_MIXED_S):
-            # The clock has restarted, and the age of the last position cannot be told by it.
+            # The clock has restarted, so the age of the last position is no longer known.
             self._offset_s, self._stamp_s, self._boot_s = math.inf, time_boot_s, -math.inf
             self._position = None
         passed_s = max(time_boot_s - self._stamp_s, 0.0)
@@ -285,7 +285,7 @@ class Bounds:
         needed_m = speed * (_REACTION_S + 0.5 * speed / self._acceleration)  # the most in any direction
         if math.dist(here, self._walls_at) > _MOVED_M:
             self._walls, self._walls_at = self._measured_walls(here), here
-        needed_m += math.dist(here, self._walls_at)  # By this much an edge may be nearer than measured.
+        needed_m += math.dist(here, self._walls_at)  # An edge may be this much nearer than measured.
         for area, first, edges, rooms, least_m in self._walls:
             if least_m > needed_m:
                 continue

@@ -65,7 +65,7 @@ _SILENCE_S = 0.5
 """A mode may have been missed in a longer pause between the vehicle's messages."""
 _FRESH_S = 0.25
 _ANSWER_S = 0.1
-"""How long an answer proves that the vehicle reads what it is sent."""
+"""How long a TIMESYNC answer counts as proof that the vehicle reads its input."""
 _DEAF_S = 1.0
 _SHUT_S = 3.0
 _AGAIN_S = 5.0
@@ -205,7 +205,7 @@ class Gate:
         """Note that the input was read until it was empty."""
         if now_s - self._emptied_s > STALL_S:
             self._fresh = False
-            self._waits_s = None  # Our own pause is no silence of the vehicle.
+            self._waits_s = None  # Our own pause does not count as silence of the vehicle.
         self._emptied_s = now_s
 
     def behind(self) -> None:

@@ -48,7 +48,7 @@ class Mandate:
         self._base: int | None = None
         """custom_mode from which the vehicle is being taken, until the requested one is reported."""
         self._perhaps_entered = False
-        """A mode that we requested was shown since, by messages whose order is not known."""
+        """Whether a mode that we requested was shown since, by messages whose order is not known."""
         self._perhaps_held = False
         """Authority was lost by a message that may have been old: a mode that we requested may not be the
         pilot's."""
@@ -58,7 +58,8 @@ class Mandate:
         """Time at which a command to the vehicle was last sent."""
         self._left = False
         self._held_instead = False
-        """Authority ended with a hold while the mission was requested, and no other mode was seen since."""
+        """Whether authority ended with a hold while the mission was requested, and no other mode was seen
+        since."""
         self._grounded_s: float | None = None
         self._seen_down = config.flight.take_in_flight
         self._requests: list[float] = []

@@ -25,7 +25,7 @@ GROUPS: Final = (LAWS, POLICIES, RADIOS, FIRMWARES)
 """Groups of entry points."""
 _OF_MODULE: Final = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 _PATH: Final = "the Python path"
-"""Stands for the distribution of what is named by its module."""
+"""Given as the distribution of a plug-in that is named by its module."""
 _WORDS: Final = 160
 """Most characters that a message quotes from an exception."""
 
@@ -85,7 +85,7 @@ def load(group: str, name: str) -> Plugin:
 
 
 def is_of_module(name: str) -> bool:
-    """Whether a name is that of a module's object, "module:object", whether or not there is one."""
+    """Whether a name has the form "module:object". The object need not exist."""
     return _OF_MODULE.fullmatch(name) is not None
 
 

@@ -33,7 +33,7 @@ class ByteLink(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RadioContext:
-    """What a driver is given beside its section of the configuration."""
+    """What a driver receives in addition to its section of the configuration."""
 
     name: str
     """Name of the aircraft."""

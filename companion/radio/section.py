@@ -37,5 +37,5 @@ class RadioSection(
         return None
 
     def remark(self, system_id: int) -> str | None:
-        """What `companion check` warns of for this vehicle; None if nothing. Begins with ".KEY: "."""
+        """Warning of `companion check` about this vehicle; None if there is none. It begins with ".KEY: "."""
         return None

@@ -5,8 +5,8 @@ messages and packs to payloads and back, on top of `wire_messages` and `wire_val
 payloads to the frames of each transport; `mavlink` converts messages to MAVLink payloads. `authentication`
 splits data into pages and puts pages together, `identity` checks identities, and `region.Region` is what a
 region's law requires of a broadcast. The subfolders sign and verify (`drip`), read capture files (`captures`)
-and check the codec against reference vectors (`conformance`). This room may import `errors`, `toml_reader`
-and `geometry` (`ROOMS` in tests/test_imports.py). Start reading at `messages`, then `codec`.
+and check the codec against reference vectors (`conformance`). This room may import the rooms before it in
+`ROOMS` of tests/test_imports.py, but needs only `errors`. Start reading at `messages`, then `codec`.
 """
 
 from companion.remote_id.authentication import Assembler, AuthenticationData

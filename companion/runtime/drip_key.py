@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def make_key(path: Path, raa: int, hda: int) -> Ed25519PrivateKey:
     """Make a private key and write it to a new file that only its owner may read.
 
-    A key whose DET ends with a zero byte is not taken: in a Basic ID it could not be told from padding.
+    A key whose DET ends with a zero byte is discarded, because a Basic ID cannot tell that byte from padding.
 
     Raises:
         ConfigError: the file exists, or cannot be written.

@@ -1,4 +1,4 @@
-"""What is said of the plug-ins that a configuration names, which are tried out before flight."""
+"""Tries out the plug-ins that a configuration names before a flight, and describes them to the user."""
 
 from __future__ import annotations
 

@@ -5,10 +5,9 @@ checked for plausibility, and handed to the avoidance law as `Neighbour`s. All r
 doubts raise flags for the log and the pilot, but a doubtful aircraft is still avoided. `tracks.Traffic` is
 the table of `track.Track`s from Remote ID, `fix.Fix` is one converted Location, `doubts.Judge` raises the
 `plausibility.Flag`s, and `adsb.AdsbTraffic` is the table for ADS-B. `own_flight` recognises our own messages,
-`signatures` verifies what senders sign, `right_of_way` ranks aircraft, and `reception` measures rates and
-losses for `companion.atmc`. `sensed` holds what sensors aboard see of those who send nothing. This room may
-import the rooms before it in `ROOMS` (tests/test_imports.py), up to `broadcast`; it uses `arrays`,
-`geometry`, `remote_id`, `events`, `config` and `avoidance`. Start with `tracks.py`, then `track.py` and
+`signatures` verifies what senders sign, `right_of_way` ranks aircraft, and `senders.reception` measures rates
+and losses for `companion.atmc`. `sensed` tracks obstacles and aircraft that sensors aboard see. This room may
+import the rooms before it in `ROOMS` of tests/test_imports.py. Start with `tracks.py`, then `track.py` and
 `fix.py`.
 """
 

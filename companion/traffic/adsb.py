@@ -36,18 +36,19 @@ that."""
 SIGMA_MPS = 1.5
 """Assumed standard deviation of the velocity for each axis. NACv 2 is 3 m/s at 95 %."""
 SIGMA_DOWN_M = 15.0
-"""Assumed standard deviation of a geometric height beside ours. GVA 2, which most installations reach, is 45
-m at 95 % in the standard; present GNSS receivers reach a fifth of that, and ours errs by 5 m."""
+"""Assumed standard deviation of the difference between a geometric height and ours. GVA 2, which most
+installations reach, is 45 m at 95 % in the standard; present GNSS receivers reach a fifth of that, and ours
+errs by 5 m."""
 PRESSURE_SIGMA_M = 30.0
-"""The same of a pressure altitude beside ours: altimeter, encoder (in steps of up to 100 ft) and static
-source of the other aircraft err by 10 to 30 m, and our own barometer by 10 m."""
+"""As `SIGMA_DOWN_M`, for pressure altitudes: altimeter, encoder (in steps of up to 100 ft) and static source
+of the other aircraft err by 10 to 30 m, and our own barometer by 10 m."""
 BAROMETRIC_M = 300.0
 """Least difference from our own height at which a barometric altitude separates aircraft. It corresponds to
 weather that is 37 hPa off the standard atmosphere."""
 ESTABLISHED = 3
 """Number of reports from which an aircraft is established."""
 _RANKED_S = 0.2
-"""While the table is half full, all aircraft are ranked this often."""
+"""While the table is at least half full, all aircraft are ranked this often."""
 MOST = 200
 """Most aircraft held at a time."""
 EXPIRE_S = 15.0
@@ -91,8 +92,8 @@ class _Seen:
 
 
 class AdsbTraffic:
-    """Aircraft received by ADS-B, at most `MOST`. If there are more, `eviction` says which are left out: one
-    that we are about to meet is not, wherever the others are.
+    """Aircraft received by ADS-B, at most `MOST`. If there are more, `eviction` decides which are left out.
+    An aircraft that we are about to meet is kept, wherever the others are.
 
     Args:
         own_icao: address of our own transponder, which the own receiver also hears; None: we have none.
@@ -105,7 +106,7 @@ class AdsbTraffic:
         self.full = FullTable("ADS-B traffic", MOST)
         self._own_icao = own_icao
         self._seen: dict[str, _Seen] = {}
-        """By the names of `_name`: an address may be heard at several places."""
+        """Aircraft by the names that `_name` gives, because an address may be heard at several places."""
         self._places = 1
         """Most places at which an address was ever heard at a time."""
         self._ranking = Ranking()
@@ -210,7 +211,7 @@ class AdsbTraffic:
             self._remove(victim)
 
     def _rank(self, name: str, now_s: float) -> None:
-        """Place the aircraft where it stands now. Consecutive addresses share an allowance."""
+        """Update the aircraft's standing in the ranking. Consecutive addresses share an allowance."""
         seen = self._seen[name]
         age_s = max(0.0, now_s - seen.at_s)
         position, known = self._placed(seen, self.judgement.position[2])
@@ -224,7 +225,7 @@ class AdsbTraffic:
         self._ranking.place(name, standing)
 
     def _placed(self, seen: _Seen, own_down_m: float) -> tuple[Vec3, bool]:
-        """Position of an aircraft beside ours, and whether its height is known."""
+        """Position of an aircraft relative to ours, and whether its height is known."""
         if not (seen.barometric and seen.vertical_known):
             return seen.position, seen.vertical_known
         north, east, down = seen.position

@@ -1,15 +1,15 @@
 """Finds the track to give up when a table is full, without a search through all tracks.
 
-Whoever fills the table on purpose must displace his own tracks, not the aircraft that we are about to meet.
+An attacker who fills the table must displace only forged tracks, not the aircraft that we are about to meet.
 
 - A threat (`Judgement`) is given up only when there is nothing else to give up.
-- Of the others those go first that were heard only a few times, then those that appeared together, then
-  those that are not proven, and among equals those of the most crowded allowance: tracks that sound alike
-  (`sound_of`) share one. In it the farthest goes.
+- Of the others, tracks that were heard only a few times go first, then those that appeared together, then
+  those that are not proven. Among equals, one of the most crowded allowance goes (tracks that sound alike,
+  that is, with the same `sound_of`, share an allowance), and within it the farthest.
 - If the table holds only threats, and more than half of them sound alike, one of those goes. Otherwise one
-  from the most crowded direction goes, there from the most crowded class of time and range, and there the
-  least trusted, the latest, the farthest. So a threat from a direction of its own, or at a time of its own in
-  a crowded direction, is not given up, whatever the others sound like.
+  from the most crowded direction goes; within it, one from the most crowded class of time and range; and
+  within that, the least trusted, the latest and the farthest. A threat that is alone in its direction, or
+  alone in its class in a crowded direction, is therefore kept, whatever the others sound like.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Standing(NamedTuple):
     tier: int
     """The lowest goes first; `THREAT` is the highest."""
     allowance: int
-    """Number of the allowance that it shares with what sounds alike."""
+    """Number of the allowance that it shares with tracks that sound alike."""
     sector: int
     """Direction of a threat; otherwise 0."""
     part: int
@@ -71,7 +71,7 @@ class Motion(NamedTuple):
     velocity: Vec3
     age_s: float
     margin_m: float
-    """By how much its position may be off."""
+    """Largest assumed error of its position."""
     vertical_known: bool = True
     crewed: bool = False
 
@@ -96,7 +96,8 @@ class Judgement:
         self._ahead_s = tuple(HORIZONS * horizon_s(avoidance, crewed) for crewed in (False, True))
 
     def loss_s(self, position: Vec3, velocity: Vec3) -> float:
-        """Time until separation from an aircraft would be lost that is there now; infinite: it would not."""
+        """Time (s) until separation from an aircraft that is at `position` now is lost; infinite if it is
+        not."""
         return self._loss(Motion(position, velocity, 0.0, LEAST_MARGIN_M))[1].loss_s
 
     def _loss(self, motion: Motion) -> tuple[Vec3, Approach, bool]:
@@ -132,7 +133,7 @@ class Judgement:
         return Standing(tier, allowance, _sector(away), part, (-trust, loss, int(distance_m))), threat
 
     def urgency(self, rows: Floats) -> tuple[Floats, Floats, Integers, Integers]:
-        """How urgent many aircraft are, roughly: with some metres more than `standing` allows for.
+        """Approximate urgency of many aircraft. Its margins are some metres wider than those of `standing`.
 
         Args:
             rows: position, velocity and declared error (NED, m and m/s) of each. A height that is NaN is
@@ -140,7 +141,7 @@ class Judgement:
 
         Returns:
             The time until the separation is lost (infinite: no threat), the distance (m), and the direction
-            and the class of time and range as in a `Standing`; 0 for what is no threat.
+            and the class of time and range as in a `Standing`; 0 for aircraft that are no threats.
         """
         away, closing = rows[:, :3] - self.position, np.asarray(self.velocity) - rows[:, 3:6]
         level = np.isnan(away[:, 2])
@@ -172,8 +173,8 @@ class Judgement:
 HOLD_S = 6.0
 """How long a track stays a threat after it was last judged one."""
 THREAT = 5
-"""Tier of threats. Below are those that were threats shortly before, then those that are proven, established,
-established that appeared together, and fresh."""
+"""Tier of threats. The tiers below are, in descending order: tracks that were threats shortly before, proven
+tracks, established tracks, established tracks that appeared together, and fresh tracks."""
 HORIZONS = 1.5
 """A conflict within this many horizons of the law is a threat."""
 NEARLY_M = 4.0
@@ -207,7 +208,8 @@ def _sector(away: Vec3) -> int:
 
 
 def sound_of(transport: str, address: str, rssi_dbm: float | None) -> str:
-    """What a sender sounds like: transport, kind of radio address, and signal strength in steps of 6 dB."""
+    """Characteristics of a sender's signal: transport, kind of radio address, signal strength in steps of 6
+    dB."""
     strength = "" if rssi_dbm is None else f" {6 * round(rssi_dbm / 6.0)} dBm"
     return f"{transport} {_pattern(address)}{strength}"
 
@@ -225,7 +227,7 @@ def _pattern(address: str) -> str:
 
 
 def allowance_of(sound: str) -> int:
-    """The allowance of a sound. There are 32, so that no search grows with the number of sounds."""
+    """Number of the allowance of a `sound_of`. There are 32, so that no search grows with their number."""
     return zlib.crc32(sound.encode("utf-8", "replace")) % _ALLOWANCES
 
 
@@ -340,13 +342,13 @@ class Ranking:
 
 @dataclass(slots=True)
 class FullTable:
-    """Tells the pilot that a table is full, at once and then every `TELL_S` while it goes on."""
+    """Tells the pilot that a table is full, at once and then every `TELL_S` while aircraft are left out."""
 
     name: str
     most: int
     left_out: int = 0
     threats: int = 0
-    """How many of those left out were threats, of which there were more than the table holds."""
+    """Number of left-out aircraft that were threats, because there were more threats than the table holds."""
     _left_s: float = -math.inf
     _told_s: float = -math.inf
     _told: int = 0

@@ -129,10 +129,10 @@ class Belief(NamedTuple):
     """Error of the height that the sender declared."""
 
     def agrees(self, other: Belief) -> bool:
-        """Whether this one predicts the other state, but for noise and a gentle manoeuvre.
+        """Whether this state predicts the other one, apart from noise and a gentle manoeuvre.
 
-        Who forges a state that agrees with the true one replaces it. The noise that is allowed for is
-        therefore well within the margin that the law keeps for the same declared error (`law.SIGMAS`).
+        A forged state that agrees with the true one replaces it. The allowed noise is therefore well within
+        the margin that the law keeps for the same declared error (`law.SIGMAS`).
         """
         passed_s = other.at_s - self.at_s
         (n, e, d), (vn, ve, vd) = self.position, self.velocity
@@ -151,7 +151,8 @@ class Belief(NamedTuple):
 
 
 def hold(beliefs: list[Belief], told: Belief, now_s: float, least_s: float) -> None:
-    """Add a belief, or put it in the place of one that agrees with it and is older by `least_s`."""
+    """Add a belief, or replace one that agrees with it and was received at least `least_s` earlier. An
+    agreeing belief that is kept counts as confirmed."""
     for number, belief in enumerate(beliefs):
         if belief.agrees(told):
             news = told.told_s - belief.told_s >= least_s
@@ -162,14 +163,14 @@ def hold(beliefs: list[Belief], told: Belief, now_s: float, least_s: float) -> N
 
 _GENTLE_MPS2, _GENTLE_MPS = 5.0, 2.5
 _NOISE = 2.0
-"""Standard deviations of both positions by which two states may differ and agree."""
+"""Two states may agree if they differ by up to this many standard deviations of both positions."""
 
 
 def belief_of(fix: Fix, velocity: Vec3, now_s: float) -> Belief:
-    """What a fix says that is received now.
+    """The belief that follows from a fix that is received now.
 
     Args:
-        velocity: the aircraft's, where the fix declares none.
+        velocity: the aircraft's velocity, used if the fix declares none.
     """
     return Belief(
         at_s=now_s if fix.stamp_s is None else min(fix.stamp_s, now_s),

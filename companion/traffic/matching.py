@@ -33,19 +33,19 @@ _JOINED_WITHIN_M = 15.0
 come from one GNSS receiver. With a larger distance, a sender with a copied identity could remove another's
 track."""
 _TWIN_MEMORY_S = 60.0
-"""For this long after another track of the same identity was there, a track is matched only to messages near
-it; others may still be from the other aircraft."""
+"""For this long after another track of the same identity existed, a track is matched only to messages near
+it, because others may still be from the other aircraft."""
 _TURN_MPS2, _TURN_MPS = 6.0, 3.5
 """A velocity may differ from the track's by `_TURN_MPS`, and by `_TURN_MPS2` times the time between."""
 _PRETENDED_MPS2, _PRETENDED_MPS = 12.0, 6.0
-"""The same for a sender without a usable clock. A module that pretends to circle, in one of the kept
-captures, turns by 27 m/s in a second."""
+"""As above, for a sender without a usable clock. In one of the kept captures, a module that simulates
+circling turns by 27 m/s in a second."""
 _GROWS_S = 2.0
 """Limit of the time over which a possible manoeuvre is extrapolated if two senders use one name."""
 _CLOCK_MPS = 5.0
-"""Metres for which a second of difference between two clocks counts, where several tracks fit."""
+"""Penalty in metres for each second of difference between two clocks, if several tracks fit."""
 _OLD_M = 1000.0
-"""Metres for which it counts that a message is not news to a track, where several tracks fit."""
+"""Penalty in metres if a message is not newer than a track, if several tracks fit."""
 
 
 def match(
@@ -88,9 +88,9 @@ def match(
             continue
         if not _follows(track, fix, at, others=twins or others):
             continue
-        unlike = away + (_unlike(track, fix, now_s) if several else 0.0)
-        if (others, unlike) < least:
-            best, least, nearest = track, (others, unlike), away
+        penalty_m = away + (_penalty_m(track, fix, now_s) if several else 0.0)
+        if (others, penalty_m) < least:
+            best, least, nearest = track, (others, penalty_m), away
     return best, nearest
 
 
@@ -112,13 +112,13 @@ def _turned(track: Track, fix: Fix, velocity: Vec3, elapsed_s: float) -> bool:
 
 
 def _follows(track: Track, fix: Fix, at_s: float, *, others: bool) -> bool:
-    """Whether the aircraft can have come to a fix from its earlier state too.
+    """Whether the aircraft can also have come to a fix from its earlier state.
 
-    A row of forged messages moves a track by many small steps in no time. Each of them is allowed, together
-    they are not. Heights are compared here alone.
+    A quick series of forged messages could move a track by many small steps. Each step alone is possible, but
+    all together are not. Heights are compared only here.
 
     Args:
-        others: the message may be another aircraft's, which after some silence may be anywhere.
+        others: whether the message may be from another aircraft, which after some silence may be anywhere.
     """
     earlier = track.earlier
     if earlier is None:
@@ -127,7 +127,8 @@ def _follows(track: Track, fix: Fix, at_s: float, *, others: bool) -> bool:
     grown_s = min(elapsed_s, _GROWS_S) if others else elapsed_s
     slack_s = clock_error_s(track, earlier.clocked)
     p, v, now = earlier.position, earlier.velocity, fix.position
-    # Between its last place and the predicted one: heights are sent without a vertical speed too.
+    # Allow any height between the last and the predicted one, because some send heights without vertical
+    # speed.
     if fix.vertical_known and earlier.vertical_known:
         ends = [p[2] + along * v[2] for along in (-slack_s, elapsed_s + slack_s)]
         off_m = max(min(ends) - now[2], now[2] - max(ends))
@@ -144,16 +145,16 @@ def _follows(track: Track, fix: Fix, at_s: float, *, others: bool) -> bool:
     return _turned(track, fix, v, elapsed_s)
 
 
-def _unlike(track: Track, fix: Fix, now_s: float) -> float:
-    """How badly a fix fits a track besides its place, in metres."""
-    unlike = 0.0
+def _penalty_m(track: Track, fix: Fix, now_s: float) -> float:
+    """Penalty (m) for what does not fit between a fix and a track, apart from the place."""
+    penalty_m = 0.0
     if fix.velocity is not None:
-        unlike += math.dist(fix.velocity, track.velocity_ned_mps)
+        penalty_m += math.dist(fix.velocity, track.velocity_ned_mps)
     if fix.stamp_s is not None:
-        unlike += _CLOCK_MPS * abs(fix.stamp_s - now_s - track.leads_s[-1])
+        penalty_m += _CLOCK_MPS * abs(fix.stamp_s - now_s - track.leads_s[-1])
         if fix.stamp_s - lead(track.leads_s) <= track.sample_s:
-            unlike += _OLD_M
-    return unlike
+            penalty_m += _OLD_M
+    return penalty_m
 
 
 def same_aircraft(track: Track, others: Iterable[Track]) -> Track | None:

@@ -1,8 +1,9 @@
 """Tracks as input of the law: where each is, and where else it may be.
 
-A track whose messages contradict one another is avoided at each of the places that they told (`Belief`). The
-name of such a place is that of the track with `ASIDE` and a number. A track whose signal strength contradicts
-its position is avoided also at the place that it points to; its name is that of the track and `SIGNAL_PLACE`.
+A track whose messages contradict one another is avoided at each place that they reported (`Belief`). The id
+of such a place is that of the track with `ASIDE` and a number. A track whose signal strength contradicts its
+position is also avoided at the place that the signal strength suggests; the id of that place is that of the
+track with `SIGNAL_PLACE`.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from companion.traffic.signal_strength import Suspicion
 from companion.traffic.track import Track
 
 SIGNAL_PLACE: Final = f"{ASIDE}signal"
-"""What is added to the name of a track for the place that its signal strength points to."""
+"""Suffix of a track's id for the place that its signal strength points to."""
 _MOST_ASIDE: Final = 50
-"""Most places besides those of the tracks that the law is given."""
+"""Largest number of alternative places, in addition to the tracks, that the law is given."""
 _CROWD: Final = 5
 """Tracks that sound alike are a group from this many on."""
 

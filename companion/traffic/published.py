@@ -3,10 +3,10 @@
 ADSB_VEHICLE has no target, so an autopilot takes it too and may avoid such traffic by itself. It is published
 only if the configuration says so.
 
-Each report bears addresses that no aircraft has: ICAO 24-bit addresses that begin with 1011 belong to no
+Each report has an address that no aircraft uses: ICAO 24-bit addresses that begin with 1011 belong to no
 state (ICAO Annex 10, Volume III, chapter 9, table 9-1: reserved). The callsign is "RID" and the last five
-letters or digits of the identity. Address and callsign together mark the source: an ADSB_VEHICLE that bears
-both is never taken in, whoever published it.
+letters or digits of the identity. Address and callsign together mark the source: an ADSB_VEHICLE that has
+both is never read as traffic, whichever companion published it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PERIOD_S = 1.0
 _APART_S = PERIOD_S / MOST
 """Least time between any two reports: 500 bytes a second at most."""
 _OLDEST_S = 10.0
-"""Older reports are not shown on. QGroundControl refuses those of 15 s and more."""
+"""Aircraft whose last message is older are not published. QGroundControl refuses reports of 15 s and more."""
 _EPSILON_S = 1e-6
 _HOVERS_MPS = 0.3
 _LETTERS = 5
@@ -41,7 +41,8 @@ def is_published(event: AdsbVehicle) -> bool:
 
 
 class Publication:
-    """Chooses what is published when. Never more than one report each `_APART_S`, nor `MOST` aircraft."""
+    """Chooses which aircraft is published next: at most one report each `_APART_S`, and at most `MOST`
+    aircraft."""
 
     def __init__(self) -> None:
         self._sent_s: dict[str, float] = {}

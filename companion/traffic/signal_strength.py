@@ -2,11 +2,11 @@
 
 `kernels.powers` describes the hypotheses and weighs them. The likelihood ratio of the alternatives against
 the truth exceeds 100 for an honest sender with a probability of at most 1 %, however long it is received
-(Ville's inequality), if the model holds. It does not where the shadowing of a link wanders while the aircraft
-move.
+(Ville's inequality), if the model holds. The model fails if the shadowing of a link changes a lot while the
+aircraft move.
 
-A sender that knows where we are can vary its power so that it fits a false position. Signal strength bounds
-faulty senders and simple attackers, not that one.
+A sender that knows where we are can vary its power so that it fits a false position. Signal strength exposes
+faulty senders and simple attackers, but not such a sender.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class Suspicion(NamedTuple):
     log_ratio: float = 0.0
     """Log likelihood ratio of all alternatives against the truth."""
     beside: float = 0.0
-    """That of the alternatives that the sender is beside its reported position."""
+    """Log likelihood ratio of those alternatives in which the sender is beside its reported position."""
     north_m: float = 0.0
-    """Where it then is, relative to its reported position."""
+    """Place of the sender in those alternatives, north and east of its reported position."""
     east_m: float = 0.0
 
 

@@ -8,9 +8,9 @@ other. It proves an identity for a track only together with a Location that this
 Messages are encoded again for this, because only decoded ones are kept. A Location of protocol version 2
 without reserved bits gives the same bytes; of other senders nothing is proven.
 
-Replays: the text leaves the window to the sender (VNB to VNA, two minutes or more). Here evidence also counts
-only for `FRESH_S` after its VNB, never if it is older than the last evidence from the same address, and only
-from the address from which it was heard first.
+Replays: the RFC leaves the validity window (VNB to VNA, two minutes or more) to the sender. Here evidence
+also counts only for `FRESH_S` after its VNB, never if it is older than the last evidence from the same
+address, and only from the address from which it was heard first.
 """
 
 from __future__ import annotations
@@ -49,17 +49,18 @@ FRESH_S: Final = 10.0
 _AHEAD_S: Final = 5.0
 """How far a VNB may lie in our future. It is a whole second, and clocks differ."""
 _VOUCHED_S: Final = 60.0
-"""For this long after its last valid signature a source has its share of the checks apart from strangers."""
+"""For this long after its last valid signature, a source uses the budget of checks for sources that have
+signed."""
 _CHECKS_PER_S: Final = 25.0
-"""Signatures checked per second, for strangers and again for sources that have signed before."""
+"""Signatures checked per second, for unknown sources and as many for sources that have signed before."""
 _PROVEN_MOST: Final = 1024
 """Valid signatures that are remembered: more than can be checked while they are fresh."""
 _SOURCE_CHECKS_PER_S: Final = 3.0
-"""Most checks of one source per second, of which it may save up as many."""
+"""Largest number of checks of one source per second, and largest number that it can save up."""
 
 
 class Verdict(enum.Enum):
-    """What came of one Authentication. The value is a text for reports."""
+    """Result of judging one Authentication. The value is a text for reports."""
 
     VALID = "valid"
     WRONG = "the signature is wrong: altered, or made with another key"
@@ -75,7 +76,7 @@ class Verdict(enum.Enum):
 
 @dataclass(slots=True)
 class _Bucket:
-    """Checks that may be made now; they come back with time."""
+    """Number of checks that may be made now; it grows with time."""
 
     left: float = _CHECKS_PER_S
     filled_s: float = -math.inf
@@ -89,7 +90,8 @@ class Signatures:
         self.counts: Counter[Verdict] = Counter()
         self._buckets = (_Bucket(), _Bucket())
         self._proven_by: OrderedDict[bytes, str] = OrderedDict()
-        """Radio address of each signature that was valid lately: from another one it is replayed."""
+        """Radio address of each recently valid signature. The same signature from another address is a
+        replay."""
 
     def is_vouched(self, source: Source, now_s: float) -> bool:
         """Whether a source has signed lately."""
@@ -205,7 +207,8 @@ class Signatures:
         begin = evidence.not_before_utc_s
         if begin > utc_s + _AHEAD_S:
             return Verdict.EARLY
-        # A signature from ahead of now was accepted while our clock led. It makes no other one old.
+        # A signature dated ahead of now was accepted while our clock led. It does not make others count as
+        # old.
         older = begin < source.signed_utc_s <= utc_s + _AHEAD_S
         elsewhere = self._proven_by.get(evidence.signature, source.key) != source.key
         return Verdict.REPLAYED if utc_s - begin > FRESH_S or older or elsewhere else None

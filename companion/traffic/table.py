@@ -1,4 +1,4 @@
-"""The table of tracks: what is held, by what it is found, and what is given up when it is full."""
+"""The table of tracks: its contents, the keys by which they are found, and eviction when it is full."""
 
 from __future__ import annotations
 
@@ -31,13 +31,14 @@ ADDRESSES_PER_TRACK = 4
 TRACKS_PER_IDENTITY = 16
 """Most tracks of one identity."""
 _RANKED_S, _RANKED_AT_ONCE = 0.2, 512
-"""While the table is half full, all tracks are ranked this often, up to so many at a time. Otherwise a track
-is ranked with some of its messages."""
+"""While the table is at least half full, all tracks are ranked this often, at most this many at a time.
+Otherwise a track is ranked with some of its messages."""
 
 
 @dataclass(frozen=True, slots=True)
 class Newcomer:
-    """What is known of an aircraft before a track of it is built: most newcomers of a flood find no room."""
+    """What is known of an aircraft before its track is built, because a flood brings many that find no
+    room."""
 
     track_id: str
     sample_s: float
@@ -122,7 +123,7 @@ class Table:
         self.sources.feed(key)
 
     def rank(self, track: Track, now_s: float) -> None:
-        """Place a track where it stands now."""
+        """Update a track's standing in the ranking."""
         age_s = max(0.0, now_s - track.sample_s)
         growth_mps = max(track.past.growth_mps, track.past.growth_down_mps)
         growth_m = growth_mps * (age_s + GROWTH_AHEAD_S) + track.wander.error_m
@@ -152,7 +153,7 @@ class Table:
                 self.rank(track, now_s)
 
     def newcomer(self, track_id: str, source: Source, fix: Fix, now_s: float) -> Newcomer:
-        """Judge an aircraft that no track is of yet."""
+        """Judge an aircraft that has no track yet."""
         sample_s = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
         age_s, latest = now_s - sample_s, source.latest
         margin = margin_m(fix.sigma_m, fix.sigma_mps, age_s, 0.0)

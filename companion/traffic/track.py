@@ -19,32 +19,32 @@ from companion.traffic.signal_strength import SignalWitness
 
 _CLOCKLESS_S = 0.5
 CLOCKLESS_MOST_S = 1.0
-"""How much two delays differ, where messages are dated by their reception."""
+"""Largest assumed difference between the delays of two messages that are dated by their reception."""
 _CLOCK_S = 0.5
-"""By how much a timestamp may be wrong."""
+"""Largest assumed error of a timestamp."""
 _LEAD_S, _DELAY_S, _CLOCK_MEMORY_S = 2.0, 3.0, 10.0
 _LEADING_S = 1.5
-"""By how much the lead of a clock may be wrong: it is learnt from messages of unknown delay."""
+"""Largest assumed error of the lead of a clock, which is learnt from messages of unknown delay."""
 _QUANTUM_S = 0.1
 """Resolution of a timestamp."""
 _DECLARED_S = 2.0
 _LASTING_S = 1.3
 """A contradicted state is believed for this much longer than a track may be silent, so that one lost message
-hides nobody."""
+hides no aircraft."""
 _BELIEFS = 4
 """Most states that a track is believed to be in. The least urgent one is given up."""
 HIGH_M = 10.0
-"""A height may be off the predicted one by this and by what both messages declare."""
+"""A height may differ from the predicted one by this, plus the errors that both messages declare."""
 ESTABLISHED = 3
 """Number of messages from which a track is established. A full table removes established tracks last."""
 
 
 @dataclass(slots=True)
 class Wander:
-    """By how much messages miss the predicted place, beyond what noise and manoeuvres explain.
+    """Distances by which messages miss the predicted place, beyond what noise and manoeuvres explain.
 
-    Two senders under one name and address that are too near to each other for two tracks drag one track to
-    and fro. Misses that noise does not explain are summed up; the sum fades. Above `_WANDERS` the largest
+    Two senders with one name and address that are too near to each other for two tracks pull one track back
+    and forth. Misses that noise does not explain are summed up; the sum fades. Above `_WANDERS` the largest
     recent miss counts as an error of the position.
     """
 
@@ -91,11 +91,12 @@ makes two surprises, there and back, which do not suffice."""
 _FORGOTTEN = 0.01
 _LEAST_SIGMA_M = 2.0
 _DRAGGED = 2.0
-"""A track may have been dragged away from its aircraft by so many times what is taken for the same one."""
+"""Largest distance by which forged messages may have dragged a track away from its aircraft, as a multiple of
+`near`."""
 
 
 class Earlier(NamedTuple):
-    """What a track held some time ago: the state that a row of quick messages must follow too; NED."""
+    """Earlier state of a track, from which a quick series of messages must also be reachable; NED."""
 
     at_s: float
     position: Vec3
@@ -130,7 +131,8 @@ class Track:
     vertical_known: bool
     content: Location
     leads_s: deque[float]
-    """How far the sender's clock led ours at its last messages. Negative: its clock lags, or delay."""
+    """Lead of the sender's clock over ours at its last messages. Negative: the clock lags or messages were
+    late."""
     latest: LatestMessages
     sources: deque[str]
     """Keys (transport/address) of the last few radio addresses that it was received from."""
@@ -141,24 +143,24 @@ class Track:
     fed_by: dict[str, str] = field(default_factory=dict)
     """Key of the radio address that it was last received from, by transport."""
     beside_s: float = -math.inf
-    """When there was last another track of its identity (our monotonic time)."""
+    """Time at which another track of its identity last existed (our monotonic time)."""
     split_from: str | None = None
-    """Track from which this one was split until it is established: one radio address sent what cannot be
-    from one aircraft."""
+    """Track from which this one was split, because one radio address sent what cannot be from one aircraft.
+    None once this one is established."""
     leapt: bool = False
-    """The split was by a distance that no aircraft can fly."""
+    """Whether the split was by a distance that no aircraft can fly."""
     hypothesis: bool = False
-    """It was split from another track, and is not established yet."""
+    """Whether it was split from another track and is not established yet."""
     group: str = ""
-    """Name of its group: "together" if it appeared in a burst, else what its sender sounds like."""
+    """Name of its group: "together" if it appeared in a burst, else its `eviction.sound_of`."""
     allowance: int = 0
-    """Number of the allowance that it shares with what sounds alike."""
+    """Number of the allowance that it shares with tracks that sound alike (`eviction.allowance_of`)."""
     together: bool = False
-    """It appeared in a burst of new tracks."""
+    """Whether it appeared in a burst of new tracks."""
     threat_s: float = -math.inf
     """When it was last a threat (our monotonic time)."""
     base_lead_s: float = 0.0
-    """Lead from which those of later messages are told to be of the same clock (`note_lead`)."""
+    """Lead that shows whether later messages are from the same clock (`note_lead`)."""
     clock_s: float = -math.inf
     """When a message was last dated by that clock (our monotonic time)."""
     wander: Wander = field(default_factory=Wander)
@@ -212,8 +214,8 @@ class Track:
         at_s = self.sample_s if fix.stamp_s is None else fix.stamp_s
         down, sinking = (p[2], v[2]) if self.vertical_known else (0.0, 0.0)
         if self.vertical_known != self.past_vertical:
-            # A height that becomes known or unknown is no manoeuvre. Where the aircraft came from is told by
-            # this message too.
+            # A height that becomes known or unknown is no manoeuvre, so the earlier height is extrapolated
+            # back from this message.
             passed = at_s - past.since_s
             since_d = down - passed * sinking if passed < math.inf else down
             past = past._replace(d=down, vd=0.0, since_d=since_d, since_vd=sinking)
@@ -229,8 +231,8 @@ class Track:
     def believe(
         self, fix: Fix, now_s: float, loss_s: Callable[[Belief], float], *, taken: bool = True
     ) -> None:
-        """Keep the state that a message tells beside those that contradict it, as long as the track would not
-        be silent. So one message makes nobody forget what another one said: it may be forged.
+        """Keep the state that a message reports beside states that contradict it, for `believed_s`. One
+        message, which may be forged, thus does not erase what another one reported.
 
         Args:
             loss_s: time until separation from a state would be lost.
@@ -253,8 +255,9 @@ class Track:
     def note_lead(self, lead_s: float, now_s: float) -> bool:
         """Learn from a timestamp; False if it is from another clock and does not date the message.
 
-        A clock leads ours by a constant, less the delay of the message. Of two clocks the one that leads less
-        is believed, as long as it is heard: what the other dates ahead must not make its messages old.
+        A clock leads ours by a constant minus the delay of the message. Of two clocks, the one that leads
+        less is used while it is heard, so that messages which the other clock dates ahead do not make its
+        messages old.
         """
         if lead_s > self.base_lead_s + _LEAD_S:
             if now_s - self.clock_s <= _CLOCK_MEMORY_S:
@@ -292,11 +295,11 @@ class Track:
     def inherit(self, others: Iterable[Track], fix: Fix, now_s: float) -> None:
         """Take over the errors of the nearest track that its address feeds, if that was dragged away.
 
-        Otherwise whoever drags the tracks of an aircraft away, each time it sends, would make each of the new
-        ones look sound.
+        Otherwise an attacker who drags an aircraft's track away each time that it sends would make each of
+        its new tracks look sound.
 
         Args:
-            fix: its own first message.
+            fix: first message of this track.
         """
         at_s = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
         other = min(others, key=lambda track: off(track, fix, at_s))
@@ -359,7 +362,8 @@ def beyond(track: Track, fix: Fix, at_s: float) -> float:
 
 
 def clock_error_s(track: Track, clocked: bool) -> float:
-    """By how much the times of a track's messages may be wrong, if its sender's clock dates them or not."""
+    """Largest error (s) of the times of a track's messages, depending on whether the sender's clock dates
+    them."""
     if not clocked:
         return CLOCKLESS_MOST_S
     return _LEADING_S if lead(track.leads_s) > _CLOCK_S else _CLOCK_S

@@ -48,7 +48,7 @@ _MAX_RANGE_M = 50_000.0
 is too inaccurate there."""
 _LEADS = 5
 _RANKED_EVERY = 8
-"""A track is ranked for eviction every so many messages; its standing changes little in between."""
+"""A track is ranked for eviction once in this many messages; its standing changes little in between."""
 
 
 @dataclass(slots=True)
@@ -305,7 +305,7 @@ class Traffic:
         identity = source.identity or source.key
         known = self._table.by_identity.get(identity, [])
         if len(known) >= TRACKS_PER_IDENTITY and not any(source.key in t.sources for t in known):
-            # Copies of its name must not keep an aircraft out: it goes by its address.
+            # Copies of an identity must not keep its aircraft out, so it is tracked by its address instead.
             known = self._table.by_identity.get(source.key, [])
             identity = source.key
         track, away = match(known, source, fix, now_s, self.config.max_speed_mps)

@@ -36,4 +36,4 @@ tried '^check: ready' companion check --config companion.toml
 kill $vehicle $air
 wait $vehicle $air || true
 tried 'separation' sitl-mocks demo
-tried 'System delay' ground-tools paper system-delay --samples "${SAMPLES:-100}" --json
+tried '"figure": "system-delay"' ground-tools paper system-delay --samples "${SAMPLES:-100}" --json

@@ -2,30 +2,30 @@
 
 Remote ID and ADS-B are unsigned: a transmitter can invent aircraft that stay in conflict with this one for
 as long as it likes. So every track whose identity no signature has verified is charged for the time in which
-it is in conflict with the aircraft while the companion holds it. A track that has spent its allowance is not
+it is in conflict with the aircraft while the companion flies it. A track that has spent its allowance is not
 avoided any more; others are. `containment` bounds how far such traffic may move the aircraft.
 
-Rules, each against one way around the others:
+Each of these rules closes a way around the others:
 
-- A track has `track_s`, of which it may be inside its volume around the aircraft for `inside_s`: an honest
-  aircraft that is avoided does not stay there. Its memory outlives the track, so that silence renews nothing,
-  and a track that is first heard inside its volume takes over what the last ones there have used.
-- A track yields if it was first heard inside its volume, has been there for `remembered.PRESSES_S`, or
-  follows the aircraft (`following`): it is avoided only as far as all others allow. Between both there may
-  be no way out, and the law would divide the violation between them. So does one that appears near the
-  aircraft not long after another one did, which may be one transmitter with a new name, and a silent one of
-  a burst.
-- Tracks of one group have `group_s` together. Once that is spent, each of them has a quarter of `track_s`: a
-  fake cannot spend the allowance of an honest aircraft by sounding like it.
-- All of them have `total_s` for the time in which the aircraft is held, the way back included. The last
-  quarter of it is kept for tracks that were heard before and had then used up to a quarter of `track_s`: new
-  identities cannot spend it.
+- A track may be in conflict for `track_s`, and inside its volume (separation and margins) for `inside_s` of
+  that: an honest aircraft that is avoided does not stay there. Used time is remembered after the track has
+  gone, so that silence renews nothing. A track that is first heard inside its volume takes over the time that
+  the last tracks there have used.
+- A track that yields is avoided only as far as all others allow. Between two tracks there may be no way out,
+  and the law would divide the violation between them. A track yields if it was first heard inside its volume,
+  has been there for `remembered.PRESSES_S`, or follows the aircraft (`following`). It also yields if it
+  appears near the aircraft soon after another one did, because both may be one transmitter that takes new
+  names, or if it belongs to a burst of new tracks and is silent.
+- Tracks of one group have `group_s` together. Once that is spent, each of them has only a quarter of
+  `track_s`, so a fake cannot spend the whole allowance of an honest aircraft by resembling it.
+- All tracks together have `total_s` for the time in which the companion flies the aircraft because of them,
+  the way back included. The last quarter is kept for tracks that were heard before it began and had used at
+  most a quarter of `track_s`, so new identities cannot spend it.
 - A track that stands still may block, but it cannot drive the aircraft anywhere. It is never flown into:
   where the total is spent and such a track is in the way, the vehicle is asked to hold. A track that has
-  pressed the aircraft along does not count as one that stands.
-- Crewed traffic has a total of its own, and no allowance for each track: nobody flies into a helicopter
-  because it stayed.
-- Proven tracks are neither charged nor left out.
+  moved while it pressed the aircraft does not count as standing.
+- Crewed traffic has a total of its own, `crewed_total_s`, and no allowance for each track.
+- Proven tracks are never charged, and always avoided.
 """
 
 from __future__ import annotations
@@ -44,39 +44,40 @@ from companion.events import AllowanceSpent, Command, Say, Severity, TrackView
 from companion.geometry import Vec3
 
 RESERVE = 0.25
-"""Share of `total_s` that is kept for tracks that were heard before and have used little; and the share of
-`track_s` that counts as little."""
+"""Share of `total_s` that is kept for known tracks that have used little, and the share of `track_s` up to
+which a track has used little."""
 HELD_S = 60.0
-"""After the last conflict, the time that the aircraft is held is charged for this long at most."""
+"""Time under our control without a conflict is charged for at most this long after the last conflict."""
 _STEP_S = 1.0
-"""Most time that is charged for one decision."""
+"""Longest time that is charged for one decision."""
 _SQUEEZED_S = 15.0
-"""Yielding is told again only after this long without a decision in which a track yielded."""
+"""Yielding is logged again only after this long without a decision in which a track yielded."""
 _SILENT_S = 2.0
 """A track that was away for longer than this counts as another one when its name is heard again."""
 _NEW_S, _HEIR_S = 2.0, 15.0
-"""A track is new for `_NEW_S`. It takes over what tracks have used that were heard within `_HEIR_S`."""
+"""A track is new for `_NEW_S`. It can take over the used time of tracks that were heard within `_HEIR_S`."""
 _MOST = 1000
-"""Most tracks, and most groups, that are remembered."""
+"""Largest number of tracks that are remembered."""
 _FORGOTTEN_S = 60.0
 """A track that has used nothing is forgotten this long after it was last heard."""
 NEAR_M = 50.0
 """A track appears near us if it is first received at most this far outside of its volume."""
 _BATCH_S, _SERIAL_S = 3.0, 60.0
-"""Tracks that appear near us within `_BATCH_S` count as one. Those that do within `_SERIAL_S` after others
-yield: they may be one transmitter that takes new names. A single one may be an aircraft that took off."""
+"""Tracks that appear near us within `_BATCH_S` are one batch. A batch that appears within `_SERIAL_S` after
+another one yields, because one transmitter may take new names. A single one may be an aircraft that took
+off."""
 _SAY_S = 5.0
-"""Least time between two texts about single tracks."""
+"""Least time between two messages to the pilot about single tracks."""
 
 _Scope = Literal["track", "group", "low", "total", "crewed"]
 
 
 class _Acting(NamedTuple):
-    """A track that bends our way now."""
+    """A track that changes our velocity now."""
 
     known: Remembered
     blocks: bool
-    """It is in conflict; otherwise it only bounds the velocity."""
+    """True if it is in conflict; otherwise it only bounds the velocity."""
 
 
 class Allowances:
@@ -90,19 +91,21 @@ class Allowances:
         self._groups: dict[str, Used] = {}
         self._total, self._crewed = Used(), Used()
         self._low_s: float | None = None
-        """Since when only the last quarter of the total is left; None: more is left."""
+        """Time since which only the last quarter of the total is left; None if more is left."""
         self._conflict_s = {False: -math.inf, True: -math.inf}
-        """Time of the last conflict with unproven traffic that is not crewed, and that is."""
+        """Time of the last conflict with unproven traffic: with uncrewed (False) and with crewed (True)
+        traffic."""
         self._charged_s = self._squeezed_s = -math.inf
         """Times of the last charge, and of the last decision in which a track yielded to another."""
-        self._newest_s = self._newer_s = -math.inf
-        """When the newest batch of tracks (`_BATCH_S`) began to appear near us, and the batch before it."""
+        self._newest_batch_s = self._batch_before_s = -math.inf
+        """Times at which the newest batch of tracks (`_BATCH_S`) and the one before it began to appear near
+        us."""
         self._said_s = -math.inf
-        self._looked_s = -math.inf
+        self._decided_s = -math.inf
         """Time of the latest decision."""
         self._told: list[Command] = []
         self.hold: str | None = None
-        """Why the vehicle is to be asked to hold, in words; None: it is not."""
+        """Why the vehicle is to be asked to hold, in words; None if it is not."""
         self.configure(config)
 
     def configure(self, config: Config) -> None:
@@ -122,7 +125,7 @@ class Allowances:
 
         Args:
             here, velocity: own position and velocity (NED, m and m/s).
-            neighbours: the tracks; then other places where they may be, named as in `traffic.places`.
+            neighbours: the tracks, followed by their alternative places, named as in `traffic.places`.
         """
         tracks, places = self._tracks, self._places
         places.clear()
@@ -132,9 +135,9 @@ class Allowances:
             place = key = other.adsb, other.track_id
             if ASIDE in other.track_id:
                 key = other.adsb, other.track_id.partition(ASIDE)[0]
-            known = tracks.get(key) or self._met(now_s, key, other)
+            known = tracks.get(key) or self._remember(now_s, key, other)
             if key is place:
-                if self._looked_s - known.heard_s > _SILENT_S:
+                if self._decided_s - known.heard_s > _SILENT_S:
                     known = tracks[key] = known.renewed(now_s, other, _predicted(other))
                     self._followers.forget(key)
                 known.latest = other
@@ -143,7 +146,7 @@ class Allowances:
                 )
                 known.see(now_s, _predicted(other))
             places[place] = known
-        self._looked_s = now_s
+        self._decided_s = now_s
         self._forget(now_s)
         found = []
         for other in neighbours:
@@ -151,7 +154,7 @@ class Allowances:
                 found.append(other)
                 continue
             known = places[other.adsb, other.track_id]
-            if self._counts(now_s, known):
+            if self._is_avoided(now_s, known):
                 yields = known.yields(now_s) and not (other.crewed or known.stands(now_s))
                 if yields:
                     presses = known.presses or known.entered
@@ -159,11 +162,11 @@ class Allowances:
                 found.append(other)
         return found
 
-    def _met(self, now_s: float, key: Key, other: Neighbour) -> Remembered:
+    def _remember(self, now_s: float, key: Key, other: Neighbour) -> Remembered:
         known = self._tracks[key] = Remembered(key, other, now_s, now_s, _predicted(other), now_s)
         return known
 
-    def _counts(self, now_s: float, known: Remembered) -> bool:
+    def _is_avoided(self, now_s: float, known: Remembered) -> bool:
         """Whether an unproven track is to be avoided."""
         config, other = self._config, known.latest
         if known.stands(now_s):
@@ -195,10 +198,10 @@ class Allowances:
 
         Args:
             here, velocity: own position and velocity (NED, m and m/s).
-            result: decision of the law about those that `admitted` has just returned.
+            result: decision of the law about the neighbours that `admitted` has just returned.
             held: whether the companion flies the vehicle.
-            back: whether the aircraft is on its path without a conflict. Its time is then charged only if a
-                mission is guarded, which is given back later.
+            back: whether the aircraft is on its path without a conflict. Time is then charged only for a
+                guarded mission, because the companion goes on flying until the handback.
         """
         passed_s = min(now_s - self._charged_s, _STEP_S) if held else 0.0
         self._charged_s = now_s
@@ -224,22 +227,22 @@ class Allowances:
         self._charge_totals(now_s, passed_s if counts else 0.0)
         self._tell_squeeze(now_s, result)
         self.hold = self._why_hold(
-            [known.latest for known, blocks in acting if blocks and self._counts(now_s, known)]
+            [known.latest for known, blocks in acting if blocks and self._is_avoided(now_s, known)]
         )
 
     def _note_near(self, now_s: float, here: Vec3, view: TrackView, known: Remembered) -> bool:
-        """Note a track that appears near us; True if another one did not long before."""
+        """Note a track that appears near us. Returns True if an earlier batch appeared not long before."""
         other = known.latest
         if now_s - known.first_s > _NEW_S or other.known_s > _NEW_S or view.track_id != other.track_id:
             return False
         if other.split or not _is_inside(here, view, NEAR_M):
             return False
-        if now_s - self._newest_s > _BATCH_S:
-            self._newest_s, self._newer_s = now_s, self._newest_s
-        return now_s - self._newer_s <= _SERIAL_S
+        if now_s - self._newest_batch_s > _BATCH_S:
+            self._newest_batch_s, self._batch_before_s = now_s, self._newest_batch_s
+        return now_s - self._batch_before_s <= _SERIAL_S
 
     def _enter(self, now_s: float, inside: Iterable[Remembered]) -> None:
-        """Let tracks that were first heard inside their volumes take over what others have used."""
+        """Let tracks that were first heard inside their volumes take over the used time of others."""
         for known in inside:
             if not known.entered and now_s - known.first_s <= _NEW_S:
                 known.appeared_s = now_s
@@ -306,8 +309,8 @@ class Allowances:
         return None
 
     def _forget(self, now_s: float) -> None:
-        """Remove what is remembered of tracks that have used nothing and are not heard. Of the others that
-        are not heard, those that have used most are kept, up to `_MOST` tracks in all."""
+        """Forget tracks that have used nothing and are no longer heard. If more than `_MOST` remain, also
+        forget silent tracks, beginning with those that have used least."""
         tracks = self._tracks
         for key in [k for k, t in tracks.items() if not t.used.used_s and now_s - t.heard_s > _FORGOTTEN_S]:
             del tracks[key]
@@ -324,7 +327,7 @@ class Allowances:
 
     def _tell_track(self, now_s: float, known: Remembered) -> None:
         track_id = known.key[1]
-        what = "it stands and is still avoided" if known.stands(now_s) else "it is not avoided any more"
+        what = "it stands still and is still avoided" if known.stands(now_s) else "it is not avoided any more"
         text = f"{track_id} has held us for {known.used.used_s:.0f} s: {what}"
         self._told.append(AllowanceSpent(scope="track", track_id=track_id, text=text))
         if now_s - self._said_s >= _SAY_S:
@@ -332,7 +335,7 @@ class Allowances:
             self._told.append(Say(severity=Severity.WARNING, text=f"DMUCA: {text}"))
 
     def _tell_squeeze(self, now_s: float, result: LawResult) -> None:
-        """Log that tracks which press yield to another in our way."""
+        """Log that yielding tracks are avoided less because of another track."""
         acting = [view for view in result.tracks if view.conflict or view.active]
         yielding = [view.track_id for view in acting if view.yields]
         others = [view.track_id.partition(ASIDE)[0] for view in acting if not view.yields]
@@ -360,7 +363,7 @@ class Allowances:
             self._told.append(AllowanceSpent(scope=scope, spent=False, text=f"{who} is avoided again"))
             self._told.append(Say(severity=Severity.NOTICE, text=f"DMUCA: {who} is avoided again"))
             return
-        what = "not avoided any more" if then == "resume" else "the vehicle is to hold"
+        what = "not avoided any more" if then == "resume" else "the vehicle is asked to hold"
         self._tell_spent(scope, f"{who} has held us for {most_s:g} s: {what}")
 
     def _tell_spent(self, scope: _Scope, text: str, track_id: str = "") -> None:
@@ -369,7 +372,7 @@ class Allowances:
 
 
 def _is_inside(here: Vec3, view: TrackView, more_m: float = 0.0) -> bool:
-    """Whether the aircraft is within the volume of a track, or at most so far outside."""
+    """Whether the aircraft is inside the volume of a track, or at most `more_m` outside of it."""
     (n, e, d), (north, east, down) = view.position_ned_m, here
     scale = view.radius_m / view.height_m if view.height_m > 0.0 else VERTICAL_SCALE
     return math.hypot(n - north, e - east, scale * (d - down)) < view.radius_m + more_m

@@ -1,4 +1,4 @@
-"""The volume that the aircraft does not leave while the companion flies it, whatever traffic it hears.
+"""The volume that the aircraft does not leave while the companion flies it, whatever traffic is received.
 
 It is kept in the same way as a fence, a floor and a ceiling: as an inclusion area with its walls, and as
 bounds on the height. Remote ID and ADS-B are unsigned: a transmitter can invent aircraft that push this one.
@@ -23,8 +23,8 @@ from companion.laws import kind_of
 from companion.ownship import Ownship
 
 _BEYOND_M = 10.0
-"""An aircraft that is farther outside of a volume than this when it is taken was not pushed there within that
-volume. One that is less far outside was pressed to its border, and must not gain a larger one."""
+"""An aircraft that is taken farther outside of a volume than this was not pushed there by traffic. One that
+is less far outside was pushed to the border, and must not gain a larger volume by that."""
 _CORNERS = 12
 """Corners of the area around a single place."""
 _MOST_PLACES = 32
@@ -32,8 +32,9 @@ _MOST_PLACES = 32
 _CREWED_S = 3.0
 """The volume for crewed traffic stays in force for this long after a conflict with such traffic."""
 CREWED_REACH = 1.25
-"""How far crewed traffic may push the aircraft, as a multiple of the separations from it: the separation
-from an aircraft that passes over the mission, and its errors."""
+"""Distance that crewed traffic may push the aircraft, as a multiple of the separation from crewed traffic. It
+leaves room for the whole separation from an aircraft that passes over the mission, and for position
+errors."""
 _AREA = 1e6
 """Number of the area in the table of walls; no fence has as many areas."""
 
@@ -47,10 +48,10 @@ class Containment:
     Its area is the convex hull of the mission's or path's places and `side_m` around it. Its heights are
     those of the present leg, `below_m` below and `above_m` above, between floor and ceiling. While crewed
     traffic is in conflict, and until the aircraft is back in that volume, a larger one is in force:
-    `crewed_side_m` to the side, `crewed_above_m` above, and down to the floor. So it is for an aircraft that
-    is more than `_BEYOND_M` outside of the smaller one when it is taken. If it is outside of the larger one
-    too (the mission is not known, the pilot flew it elsewhere), the place where it is taken counts as a place
-    of the mission.
+    `crewed_side_m` to the side, `crewed_above_m` above, and down to the floor. The larger one is also in
+    force for an aircraft that is more than `_BEYOND_M` outside of the smaller one when it is taken. If the
+    aircraft is outside of the larger one too (the mission is not known, or the pilot flew elsewhere), the
+    place where it is taken counts as a place of the mission.
     """
 
     def __init__(self, config: Config, own: Ownship, course: Course) -> None:
@@ -58,16 +59,16 @@ class Containment:
         self._course = course
         self._law: Law | None = None
         """Law of the flight to which the places below belong."""
-        self._more: deque[_Place] = deque(maxlen=_MOST_PLACES)
+        self._extra_places: deque[_Place] = deque(maxlen=_MOST_PLACES)
         """Places outside of the mission's volume in which the aircraft was taken."""
-        self._more_m: deque[float] = deque(maxlen=_MOST_PLACES)
+        self._extra_heights_m: deque[float] = deque(maxlen=_MOST_PLACES)
         """Heights above home outside of the mission's volume in which the aircraft was taken."""
-        self._of: tuple[Vec3, ...] | None = None
-        """`Course.places` for which the walls were made; None: the aircraft is not held."""
+        self._made_for: tuple[Vec3, ...] | None = None
+        """`Course.places` for which the walls were made; None while we do not control the vehicle."""
         self._range_m = 0.0, 0.0
         """Least and greatest height of the mission."""
         self._places: list[_Place] = []
-        """Places whose convex hull is the middle of the volume."""
+        """Places whose convex hull, widened to all sides, is the area of the volume."""
         self._narrow = self._wide = k.NO_WALLS
         self._crewed_s = -math.inf
         """Time of the last conflict with crewed traffic."""
@@ -82,9 +83,9 @@ class Containment:
         self._encloses = kind_of(config.avoidance.law).keeps_fence
 
     def let_go(self) -> None:
-        """Note that the aircraft is not held: the volume ends."""
-        if self._of is not None:
-            self._of, self._is_wide = None, False
+        """End the volume, because we no longer control the vehicle."""
+        if self._made_for is not None:
+            self._made_for, self._is_wide = None, False
             if self._law is not None:
                 self._law.enclose(k.NO_WALLS)
 
@@ -96,17 +97,17 @@ class Containment:
     def keep(self, now_s: float) -> tuple[float, float]:
         """Let the law keep the volume from now on, and return its floor and ceiling (height above home).
 
-        Call this before every decision while the aircraft is held. Needs a law and an own position.
+        Call this before every decision while we control the vehicle. Needs a law and an own position.
         """
         law, position = self._course.law, self._own.position
         assert law is not None
         assert position is not None
         here, height_m = self._own.position_ned_m(now_s), position.height_above_home_m
         if law is not self._law:
-            self._law, self._of = law, None
-            self._more.clear()
-            self._more_m.clear()
-        anew = self._of is not self._course.places
+            self._law, self._made_for = law, None
+            self._extra_places.clear()
+            self._extra_heights_m.clear()
+        anew = self._made_for is not self._course.places
         if anew:
             self._make(here[:2], height_m)
             self._is_wide = self._is_beyond(now_s, here[:2], height_m, _BEYOND_M)
@@ -119,22 +120,22 @@ class Containment:
     def _make(self, here: _Place, height_m: float) -> None:
         """Make the walls and heights of the mission, so that the aircraft is within the larger volume."""
         config, course = self._config, self._course
-        self._of = course.places
-        heights = [*course.heights_m, *self._more_m]
+        self._made_for = course.places
+        heights = [*course.heights_m, *self._extra_heights_m]
         if not heights or height_m > max(heights) + self._crewed_above_m + _BEYOND_M:
-            self._more_m.append(height_m)
+            self._extra_heights_m.append(height_m)
             heights.append(height_m)
         self._range_m = min(heights), max(heights)
-        places = [*(place[:2] for place in course.places), *self._more]
+        places = [*(place[:2] for place in course.places), *self._extra_places]
         if not places or not _within(area_around(places, self._crewed_side_m + _BEYOND_M), here):
-            self._more.append(here)
+            self._extra_places.append(here)
             places.append(here)
         self._places = places
         self._narrow = area_around(places, config.side_m)
         self._wide = area_around(places, self._crewed_side_m)
 
     def _needs_wide(self, now_s: float, here: _Place, height_m: float) -> bool:
-        """Whether the volume for crewed traffic is in force, which lasts until we are back in the other."""
+        """Whether the larger volume is in force. It lasts until the aircraft is back in the smaller one."""
         if now_s - self._crewed_s < _CREWED_S:
             return True
         if not self._is_wide:
@@ -152,14 +153,14 @@ class Containment:
     def _heights_m(self, now_s: float, wide: bool) -> tuple[float, float]:
         config, limits, (low, high) = self._config, self._limits, self._range_m
         leg = self._course.leg_heights_m(now_s)
-        # What an earlier push has left behind does not move the volume.
+        # The leg may begin where traffic pushed the aircraft. That must not move the volume.
         least, most = (low, high) if leg is None else (min(max(h, low), high) for h in leg)
         floor = self._course.floor_height_m(limits)
         ceiling = limits.ceiling_height_m
         top = math.inf if ceiling is None else ceiling
         if wide:
             if limits.floor_height_m is None:
-                # A place as low as a landing lowers the floor of its own leg alone.
+                # A low place, such as a landing, lowers the floor only of its own leg.
                 floor = max(floor, min(LEAST_HEIGHT_M, least, top - LEAST_LAYER_M))
             return floor, min(top, max(most + self._crewed_above_m, floor + LEAST_LAYER_M))
         floor = max(floor, min(least - config.below_m, top - LEAST_LAYER_M))
@@ -172,7 +173,7 @@ def crewed_reach_m(config: Config) -> tuple[float, float]:
 
 
 def reach_m(own: ContainmentConfig, separations: AvoidanceConfig) -> tuple[float, float]:
-    """The same of the two sections that say it."""
+    """As `crewed_reach_m`, from the two sections that decide it."""
     side_m, above_m = own.crewed_side_m, own.crewed_above_m
     if side_m is None:
         side_m = max(CREWED_REACH * separations.crewed_horizontal_m, own.side_m)
@@ -182,15 +183,15 @@ def reach_m(own: ContainmentConfig, separations: AvoidanceConfig) -> tuple[float
 
 
 def extent(places: Sequence[Vec3], config: Config) -> tuple[tuple[float, float], tuple[float, float]]:
-    """From south to north and from west to east: the ends (m) of the area around some places (NED, m)."""
+    """Bounds of the area around some places (NED, m): (south, north) and (west, east) ends, in metres."""
     corners = area_around([place[:2] for place in places], config.containment.side_m)[:, 2:4]
     (south, west), (north, east) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
     return (south, north), (west, east)
 
 
 def area_around(places: Sequence[_Place], side_m: float) -> Floats:
-    """Walls of an inclusion area around all places: no point of it is farther than `side_m` from their convex
-    hull."""
+    """Walls of an inclusion area around all places (north, east, m). No point of the area is farther than
+    `side_m` from their convex hull."""
     angles = [2.0 * math.pi * i / _CORNERS for i in range(_CORNERS)]
     corners = _hull(
         [(n + side_m * math.cos(a), e + side_m * math.sin(a)) for n, e in _hull(places) for a in angles]

@@ -1,14 +1,15 @@
-"""Tells aircraft that move with us, whatever we do, from those that fly their own way.
+"""Finds aircraft that move with us, whatever we do, among those that fly their own way.
 
-Whoever pushes this aircraft about must follow it. An honest aircraft does not: blind ones fly straight on or
-turn as they like, and those that avoid turn the other way. So a track follows if it has kept its place beside
-us while we were pushed off our way, although that is not where it would be
+An attacker that pushes this aircraft away must follow it. An honest aircraft does not follow: one without
+avoidance flies straight on or turns independently of us, and one with avoidance turns the other way. So a
+track follows if it has kept its place beside us while we were pushed off our way, although it would be
+elsewhere
 
-- if it had flown straight on since the conflict began: it bends as we do; or
-- by the velocities that it reports: it seems to come nearer all the time, but does not.
+- if it had flown straight on since the conflict began (it turns as we do); or
+- by the velocities that it reports (it reports that it comes nearer, but does not).
 
-What follows us when we give way keeps its distance also when we come back. One that follows is avoided as
-before, but only as far as all others allow (`Neighbour.yields`): it cannot push us into them.
+A track that follows us when we give way also keeps its distance when we come back. A track that follows is
+avoided only as far as all others allow (`Neighbour.yields`), so it cannot push us into them.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ from companion.avoidance.law import Neighbour
 from companion.geometry import Vec3
 
 PUSHED_M = 10.0
-"""How far we must have been pushed, and how far a track must be from its prediction, if it is to follow."""
+"""A track follows only if we were pushed this far, and it is this far from where it was predicted."""
 _HEIR_S = 15.0
-"""A silent track is predicted for this long, in which a track with another name may take its place."""
+"""A conflict is remembered for this long after it ended, so that a track with another name can continue
+it."""
 _LASTS_S = 1.0
 """Time for which a track must have followed; one message is no evidence."""
 _MOST = 32
@@ -31,11 +33,12 @@ _MOST = 32
 _FRESH_S = 2.0
 """Greatest age of a message that shows where a track is beside us."""
 _HEIR_WITHIN_S = 5.0
-"""A track may become another one's heir for so long after its first conflict has begun."""
+"""A track may continue another one's conflict only within this time after its own first conflict began."""
 _PAUSE_S = 3.5
-"""Longest time between the last message of a track and the first conflict of its heir."""
+"""Longest time between the last message of a track and the first conflict of the track that continues it."""
 _BEGINS_S = 5.0
-"""After so long without a conflict, another begins; after `_HEIR_S`, if it followed."""
+"""After this long without a conflict, the next one is a new one. For a track that followed, it is
+`_HEIR_S`."""
 
 
 @dataclass(slots=True)
@@ -48,28 +51,30 @@ class _Conflict:
     place: Vec3
     mps: Vec3
     began_beside: Vec3
-    """Place of the track relative to us."""
+    """Place of the track relative to us when the conflict began."""
     reported: Vec3
     """Where the track would be by the velocities that it has reported since."""
     beside: Vec3
-    """Place of the track relative to us when it was last heard; of one that follows, when it was found to.
-    Whoever appears there is its heir: it cannot choose its heir by moving."""
+    """Place of the track relative to us when it was last heard. It is fixed once the track follows. A new
+    track that appears there continues this one, so a follower cannot pass its record to an aircraft by
+    moving."""
     at_s: float
     """Time of the last conflict."""
     since_s: float
     """Time since which it has followed."""
     named_s: float
-    """When the first conflict under this name began; -infinity: it has become another one's heir."""
+    """Time at which the first conflict under this name began; -infinity if it continues another track's."""
     seen_s: float
-    """When the track was last there."""
+    """Time at which the track last existed."""
     heard_s: float
     """Time of its last message."""
     silent: bool = False
-    """It was not received for so long that it may have stopped."""
+    """Whether the track was not received for so long that its aircraft may have stopped
+    (`Neighbour.silent`)."""
     follows: bool = False
 
     def look(self, now_s: float, own: Vec3, place: Vec3, mps: Vec3) -> None:
-        """Take in the present state during the conflict."""
+        """Take in the present state during the conflict, and judge whether the track follows."""
         if now_s - self.at_s > _LASTS_S:
             self.since_s = now_s
         self.go_on(now_s, mps)
@@ -92,7 +97,7 @@ class _Conflict:
         self.reported, self.at_s = _after(self.reported, now_s - self.at_s, mps), now_s
 
     def over(self, now_s: float) -> bool:
-        """Whether the next conflict with the track is another one."""
+        """Whether the conflict has ended, so that the next one with the track is a new one."""
         return now_s - self.at_s > (_HEIR_S if self.follows else _BEGINS_S)
 
 
@@ -138,7 +143,7 @@ class Followers:
         found.look(now_s, own, place, mps)
 
     def forget(self, key: Hashable) -> None:
-        """Take a track for another one from now on. Its place remains for an heir."""
+        """Treat the track as a new one from now on. Another track may still continue its old conflict."""
         if key in self._conflicts:
             self._conflicts[object()] = self._conflicts.pop(key)
 

@@ -10,12 +10,13 @@ from companion.avoidance.law import Neighbour
 from companion.geometry import Vec3
 
 WHOLE = 0.5
-"""A spent allowance counts as spent until this share of it is used."""
+"""A spent allowance can be used again once its used time has fallen to this share of it."""
 STANDS_M, STANDS_S = 15.0, 30.0
 """A track stands still if it has stayed within this distance of a place for this long."""
 _APPEARED_S = 15.0
 PRESSES_S = 30.0
-"""A track presses if it has been inside its volume for this long. Time outside counts half against it."""
+"""A track presses if it has been inside its volume for this long. Each second outside takes half a second off
+that time."""
 
 Key = tuple[bool, str]
 """Whether a track is from ADS-B, and its id."""
@@ -46,11 +47,11 @@ class Remembered:
 
     key: Key
     latest: Neighbour
-    """The track at the latest decision that it was heard for."""
+    """State of the track at the latest decision for which it was heard."""
     first_s: float
     heard_s: float
     anchor: Vec3
-    """Place (NED, m) from which it has not moved farther than `STANDS_M`."""
+    """Place (NED, m) from which the track has not moved farther than `STANDS_M`."""
     anchor_s: float
     used: Used = field(default_factory=Used)
     """Time in conflict."""
@@ -59,36 +60,37 @@ class Remembered:
     pressed_s: float = 0.0
     follows: bool = False
     appeared_s: float = -math.inf
-    """When it appeared inside its volume, or near us after other tracks; then, when it was last inside,
-    unless it has been outside for `_APPEARED_S`."""
+    """Time at which the track was first heard inside its volume, or near us soon after other tracks. While it
+    appears (`appears`), the time at which it was last inside."""
     entered: bool = False
-    """It has been inside its volume."""
+    """Whether the track has been inside its volume."""
     reserved: bool = False
-    """It had used little when only the last quarter of the total was left."""
+    """Whether the track had used little when only the last quarter of the total was left."""
     chases: bool = False
-    """It has moved while it pressed. If it stands still later, that is only because our aircraft does."""
+    """Whether the track has moved while it pressed. If such a track stands still, it does so only because our
+    aircraft does."""
 
     @property
     def spent(self) -> bool:
-        """Whether it has used up what is its own."""
+        """Whether the track has spent an allowance of its own."""
         return self.used.spent or self.inside.spent
 
     @property
     def presses(self) -> bool:
-        """Whether it has been inside its volume for long, or follows the aircraft."""
+        """Whether the track has been inside its volume for long, or follows the aircraft."""
         return self.pressed_s >= PRESSES_S or self.follows
 
     def appears(self, now_s: float) -> bool:
-        """Whether it has appeared, and not been outside its volume for long since."""
+        """Whether `appeared_s` is recent: the track has not been outside its volume for long since."""
         return now_s - self.appeared_s <= _APPEARED_S
 
     def yields(self, now_s: float) -> bool:
-        """Whether it is avoided only as far as all others allow."""
+        """Whether the track is avoided only as far as all others allow."""
         stale = self.latest.silent and self.latest.together
         return self.presses or self.appears(now_s) or stale
 
     def renewed(self, now_s: float, latest: Neighbour, place: Vec3) -> Remembered:
-        """The same track after a silence: another aircraft may have its name. What the name has used is kept.
+        """The same track after a silence. Another aircraft may have its name now, but used time is kept.
 
         Args:
             place: present position (NED, m).
@@ -98,7 +100,7 @@ class Remembered:
         return fresh
 
     def inherit(self, others: Iterable[Remembered]) -> None:
-        """Take over the most that other tracks have used."""
+        """Take over the longest times that any of the other tracks has used."""
         for other in others:
             self.used.used_s = max(self.used.used_s, other.used.used_s)
             self.inside.used_s = max(self.inside.used_s, other.inside.used_s)
@@ -106,12 +108,12 @@ class Remembered:
             self.chases = self.chases or other.chases
 
     def see(self, now_s: float, position: Vec3) -> None:
-        """Take in its present position."""
+        """Take in the present position (NED, m) of the track."""
         self.heard_s = now_s
         if math.dist(self.anchor, position) > STANDS_M:
             self.anchor, self.anchor_s = position, now_s
             self.chases = self.chases or self.presses
 
     def stands(self, now_s: float) -> bool:
-        """Whether it stands still by its own will."""
+        """Whether the track stands still, and not only because our aircraft does."""
         return not self.chases and now_s - self.anchor_s >= STANDS_S

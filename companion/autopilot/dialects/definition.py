@@ -52,7 +52,7 @@ class Dialect:
     vehicle_types: frozenset[int]
     """MAV_TYPE of the vehicles that can be commanded."""
     vehicles: str
-    """The same in words."""
+    """Kinds of vehicles that can be commanded, in words."""
     modes: dict[int, FlightMode]
     commands: dict[FlightMode, ModeCommand]
     names: dict[int, str]
@@ -61,7 +61,7 @@ class Dialect:
     take_from_names: str
     """The modes that a pilot selects for that, in words."""
     guard_in_name: str
-    """The same for a vehicle that flies its mission and is only guarded."""
+    """The modes that a pilot selects to have a mission guarded, in words."""
     mode_known_s: float
     """How long the mode in a heartbeat may be trusted (seconds). ArduPilot announces each change at once, so
     its mode is known until a heartbeat is missing. PX4 reports its mode once a second, so only a heartbeat
@@ -73,7 +73,7 @@ class Dialect:
     """What the autopilot does when setpoints stop for longer than its timeout, if `loss_action` is not
     known."""
     silence_by_action: dict[int, str]
-    """The same for each value of `loss_action`."""
+    """As `silence`, for each value of `loss_action`."""
     crashing_actions: frozenset[int]
     """Values of `loss_action` that stop the motors in the air."""
     idle_fence_actions: frozenset[int]
@@ -81,8 +81,8 @@ class Dialect:
     external_needs_setpoints: bool
     """True: the mode that flies setpoints is refused while none arrive."""
     flies_last_setpoint: bool
-    """True: when setpoints stop, the last one is flown on for a while, so that a vehicle is let go with a
-    request to hold."""
+    """True: when setpoints stop, the vehicle flies the last one for a while. It is therefore asked to hold
+    when it is released."""
     home_is_item_zero: bool
     """True: item 0 of a mission is home and no part of the mission."""
     mission_ends_in_hold: bool

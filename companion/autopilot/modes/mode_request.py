@@ -104,7 +104,7 @@ class ModeRequest:
         self._replaces = replaced is not None
         self._heard = now_s <= told.known_until_s
         self._held_s: float | None = None
-        """Since when a try has been held back because the mode may not be settled."""
+        """Time since which a try has been held back because the mode may not be settled."""
         self._tries = 0
         self._next_s = now_s + RETRY_S
         self._ack: int | None = None

@@ -82,7 +82,7 @@ class Polling:
         """Take PARAM_VALUE of our vehicle.
 
         Raises:
-            PeerDataError: see `ParameterReader.take`.
+            PeerDataError: see `ParameterReader.on_value`.
         """
         if self._parameters is not None:
             _value, _count, _index, name, kind = fields

@@ -44,7 +44,7 @@ SENSED_RATES_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: 10.0,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
 }
-"""Rates that are requested besides if a sensor of obstacles is read (`companion.autopilot.sensors`)."""
+"""Additional rates that are requested if a sensor of obstacles is read (`companion.autopilot.sensors`)."""
 
 FIRMWARE_OF = {
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: Firmware.ARDUPILOT,
@@ -92,7 +92,7 @@ class Streams:
     """Counts arriving messages and decides what to request.
 
     Args:
-        sensed: whether to request what the measurements of sensors aboard need, too.
+        sensed: whether to also request `SENSED_RATES_HZ`, for the measurements of sensors aboard.
     """
 
     def __init__(self, *, sensed: bool = False) -> None:

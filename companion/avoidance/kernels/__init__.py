@@ -4,9 +4,9 @@
 - `settings`: what a decision takes and gives: settings, own state, memory, result.
 - `timelines`: the timed path, and the history of own velocities.
 - `neighbours`: the past of tracks, and the planes of neighbours.
-- `escape`: the plane of what a sensor sees too late for that.
+- `escape`: the plane for an aircraft that a sensor sees too late for a plane of ORCA.
 - `crewed`: the velocity that stays well clear of crewed traffic.
-- `powers`: what received powers say of reported positions.
+- `powers`: whether received powers agree with reported positions.
 - `walls`, `fence_planes`: the walls of a fence, and their planes.
 - `programs`: the half-space of ORCA and the linear programs.
 - `hard_planes`: the command within one period's change that satisfies the hard planes.

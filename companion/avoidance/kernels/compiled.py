@@ -18,7 +18,7 @@ Function = TypeVar("Function")
 SOURCES = tuple(sorted(Path(__file__).parent.glob("*.py")))
 """All source files of kernels."""
 FUNCTIONS: list[Any] = []
-"""All compiled functions of the kernels, for whoever has to treat their caches."""
+"""All compiled functions of the kernels, for code that manages their caches."""
 _STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
 # Without numba's memory runtime (NRT), functions that allocate do not compile, and array references are not
 # counted.
@@ -39,10 +39,10 @@ def compiled(function: Function) -> Function:
 class LoadingCache(FunctionCache):
     """Cache that loads compiled code without numba's compiler.
 
-    Before it loads anything, numba's own cache imports what only compiling needs, the implementations of all
-    of Python and numpy. That takes 50 MB and half a second of each start. The compiler imports them by
-    itself, if code has to be compiled after all. Only for functions without the memory runtime, which would
-    have to be initialised.
+    numba's own cache first imports the implementations of all of Python and numpy, which only compiling
+    needs. That costs 50 MB and half a second at each start. If code has to be compiled after all, the
+    compiler imports them itself. Use this cache only for functions without the memory runtime, because it
+    does not initialise that.
     """
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -53,7 +53,7 @@ class LoadingCache(FunctionCache):
 
 
 class CacheWithMemory(LoadingCache):
-    """The same for functions with the memory runtime, which random generators need."""
+    """As `LoadingCache`, for functions with the memory runtime, which random generators need."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled code for a signature; None if it is not in the cache."""

@@ -1,13 +1,13 @@
 """Crewed traffic: chooses the velocity that stays well clear of it at the lowest price.
 
-Aircraft with people aboard are fast, turn as they like, and need more room than a small aircraft can make in
-the last seconds. A plane of the linear program leaves a volume by the shortest way, which is too late for
-them. Therefore they have no planes. Instead, a set of velocities is simulated over the next `HORIZON_S`:
-along the path, standing still, and in `HEADINGS` directions, each returning to the height of the path,
-descending, level and climbing. Each velocity has a risk (the chance of losing well clear, and of a near
-mid-air collision) and a price (how far it leaves the path: sideways, up, and cheapest, down). The law flies
-the one with the lowest sum, and chooses anew at each decision. So it goes below crewed traffic first, and
-sideways only as far as descending is not enough.
+Crewed aircraft are fast, turn unpredictably, and need more room than a small aircraft can make in the last
+seconds. A plane of the linear program leaves a volume by the shortest way, which is too late for them, so
+they have no planes. Instead, a set of candidate velocities is simulated over the next `HORIZON_S`: along the
+path, standing still, and in `HEADINGS` directions, each returning to the height of the path, descending,
+level and climbing. Each candidate has a risk (the probability of losing well clear, and of a near mid-air
+collision) and a price (how far it leaves the path: sideways, up, or down, which is cheapest). The law flies
+the one with the lowest sum, and chooses again at each decision. It therefore descends below crewed traffic
+first, and moves sideways only as far as descending is not enough.
 
 The predicted position of another aircraft is a mixture: it has continued as it flies now (straight, or in a
 turn that fades), or it has begun another manoeuvre, and its position is then much less certain. Nothing here
@@ -29,41 +29,41 @@ from companion.avoidance.kernels.vectors import Point, Triple, Vector, clipped, 
 from companion.avoidance.kernels.walls import IN_CIRCLE, wall_at
 
 STEP_S = 4.0
-"""Time between two moments that are looked at; the motion between them is taken as straight."""
+"""Time step of the simulation. Motion within a step is assumed to be straight."""
 HORIZON_S = STEP_S * (STEPS - 1)
 MOST = 32
-"""Most crewed aircraft that are weighed: those that could lose well clear first. A decision about 200 would
-take too long."""
+"""Largest number of crewed aircraft that are considered: those that could lose well clear soonest. A decision
+about 200 would take too long."""
 CLIMB_MOST_MPS = 15.0
-"""How fast a crewed aircraft and we may approach each other in height, beside its present vertical speed."""
+"""Assumed vertical closing speed, in addition to a crewed aircraft's present vertical speed."""
 HEADINGS = 12
 """Directions, one of which is north; in each, the greatest speed and half of it are tried."""
 NEAR_RADIUS_M, NEAR_HEIGHT_M = 152.4, 30.48
 """Volume of a near mid-air collision (ASTM F3442): 500 ft and 100 ft."""
 NEAR_WORTH = 10.0
-"""A near mid-air collision counts as so many losses of well clear more."""
+"""Risk that a near mid-air collision adds, in losses of well clear."""
 DEPTH_WORTH = 20.0
-"""The middle of that volume counts as so many losses of well clear more than its edge. So distance counts
-where the volume cannot be left any more."""
+"""Risk that the centre of that volume adds to the risk at its edge, in losses of well clear. It makes
+distance count where the volume can no longer be avoided."""
 STAY_WORTH = 0.3
-"""Worth of being within a volume for the whole horizon, as a share of that of entering it. So an aircraft
-that is within leaves."""
+"""Risk of being inside a volume for the whole horizon, as a share of the risk of entering it. It makes an
+aircraft that is inside leave."""
 LEAST_RISK = 0.02
-"""A lower risk is not avoided."""
+"""Risks below this are not avoided."""
 CONFLICT_RISK = 0.2
-"""From this risk on there is a conflict, even if no other velocity is better: the containment may leave none,
-and it widens in a conflict."""
+"""From this risk on there is a conflict even if no other velocity is better. The containment may exclude all
+better ones, and it widens in a conflict."""
 SIDE_PRICE, DOWN_PRICE, UP_PRICE = 0.007, 0.001, 0.003
 """Price of a velocity that differs by 1 m/s from that along the path, in losses of well clear."""
 CHANGE_PRICE = 0.003
 """Price of a velocity that differs by 1 m/s from the last command."""
 SIGMA_M = 30.0
-"""Error of a predicted position at first, horizontal, one standard deviation."""
+"""Initial horizontal error of a predicted position, one standard deviation."""
 STEADY_S = 30.0
 """Mean time until a crewed aircraft begins another manoeuvre."""
 STEADY_SHARE, CHANGED_SHARE = 0.05, 0.35
-"""Growth of that error, as a share of the way that the aircraft flies: as long as it flies on, and once it
-has begun another manoeuvre."""
+"""Growth of that error, as a share of the distance that the aircraft flies: while it flies on as it does now,
+and after it has begun another manoeuvre."""
 LEAST_SIGMA_DOWN_M = 1.0
 """Least error of a height."""
 DOWN_MPS = 0.4
@@ -75,9 +75,9 @@ TURN_MEMORY_S = 2.0
 TURN_MOST_RPS = 0.35
 """Greatest turn rate that is believed: 20 degrees a second."""
 TURN_NOISE_RPS = 0.01
-"""Part of a turn rate that is taken for noise: the course in messages has steps of about a degree. Carried on
-for `TURN_FADES_S`, it would move the predicted place from one side of our own aircraft to the other with each
-message."""
+"""Noise that is subtracted from the magnitude of a turn rate, because the course in messages has steps of
+about a degree. Extrapolated for `TURN_FADES_S`, this noise would move the predicted position from one side of
+our own aircraft to the other with each message."""
 TURNING_MPS = 2.0
 """An aircraft that is slower does not turn, because the direction of its velocity is noise."""
 _ANSWER_S = 0.5
@@ -89,9 +89,9 @@ class _Way(NamedTuple):
 
     velocity: Vector
     answer_s: float
-    """The present velocity lasts for so long."""
+    """Time for which the present velocity lasts before the aircraft flies the candidate."""
     free_m: float
-    """Way to the first wall."""
+    """Distance to the first wall."""
     follows: float
     """1: its horizontal part follows the path."""
     returns: float
@@ -109,17 +109,17 @@ class _Follow(NamedTuple):
 
 
 class _View(NamedTuple):
-    """What the ways are judged by."""
+    """Data by which candidate velocities are judged."""
 
     rows: int
     """Number of neighbours."""
     ahead: Floats
-    """Predictions; the last entry of an aircraft's second row says whether it is weighed."""
+    """Predictions. The last entry of an aircraft's second row says whether the aircraft is considered."""
     own: Own
     path: Path
     follow: _Follow
     radius_m: float
-    """Well clear: distance to the side, and in height."""
+    """Well clear: horizontal and vertical distance (m)."""
     height_m: float
 
 
@@ -173,7 +173,7 @@ def _predict(other: Other, own_d: float, ahead: Floats) -> None:
 
 @compiled
 def _soonest_loss(other: Other, own: Own, radius: float, height: float, speed: float) -> float:
-    """Soonest time (s) at which well clear of an aircraft could be lost, to the side and in height.
+    """Soonest time (s) at which well clear of an aircraft could be lost, horizontally and vertically.
 
     Args:
         radius, height: well clear.
@@ -219,24 +219,24 @@ def _select(neighbours: Floats, count: int, own: Own, view: _View, speed: float)
 
 @compiled
 def _below(x: float) -> float:
-    """About the chance that a standard normal variable is below x, as a cubic from -2 to 2."""
+    """Approximate probability that a standard normal variable is below x: a cubic between -2 and 2."""
     y = 0.25 * min(max(x, -2.0), 2.0) + 0.5
     return y * y * (3.0 - 2.0 * y)
 
 
 @compiled
 def _beside(aside: float, radius: float, sigma: float) -> float:
-    """Chance to be within a radius of an aircraft that is predicted at a distance."""
+    """Probability of being within a radius of an aircraft that is predicted at a distance."""
     return _below((radius - aside) / sigma) * radius * radius / (radius * radius + 2.0 * sigma * sigma)
 
 
 @compiled
 def _within(aside: float, above: float, radius: float, height: float, at: Floats) -> float:
-    """Chance to be within a cylinder around an aircraft.
+    """Probability of being inside a cylinder around an aircraft.
 
     Args:
-        aside, above: distances from where it is predicted.
-        at: its row of `ahead`. Without a known height it is at ours.
+        aside, above: horizontal and vertical distance (m) from its predicted position.
+        at: its row of `ahead`. An aircraft of unknown height is assumed to be at ours.
     """
     level = 1.0
     if at[6] < math.inf:
@@ -305,7 +305,7 @@ def _risk(ahead: Floats, way: _Way, view: _View, enough: float) -> float:
 
 @compiled
 def _free(fence: Floats, own: Own, n: float, e: float) -> float:
-    """Way (m) to the first wall in a direction, less the margin of fences."""
+    """Distance (m) to the first wall in a direction, minus the margin kept from fences."""
     size = math.sqrt(n * n + e * e)
     if size == 0.0:
         return math.inf
@@ -335,7 +335,7 @@ def _risks(way: _Way, view: _View, enough: float, keep: bool) -> float:
     """Risk of a way with all crewed aircraft.
 
     Args:
-        keep: whether to keep the risk of each in its table.
+        keep: whether to store the risk of each aircraft in its table.
     """
     total = 0.0
     for j in range(view.rows):
@@ -401,14 +401,15 @@ def crewed_wish(
         neighbours, count: table of neighbours, and how many of its rows count.
         wanted: the velocity along the path and back to it, m/s.
         path, path_s: the timed path, and the time on it.
-        fence: table of walls; no way is expected to lead through one.
+        fence: table of walls. Candidates are assumed to stop before them.
         command: the last command, m/s.
         ahead: (at least count, STEPS, AHEAD_COLUMNS): predictions; written. The last entry of the first row
             of an aircraft is the risk of flying on.
 
     Returns:
-        The velocity, and whether there is a conflict: it is another than `wanted`, or flying on is risky.
-        Then at least one aircraft has a risk of `LEAST_RISK` in `ahead`: the riskiest, if none alone has.
+        The velocity, and whether there is a conflict: the velocity differs from `wanted`, or flying on is
+        risky. In a conflict, `ahead` shows at least `LEAST_RISK` for the riskiest aircraft, so that one can
+        be reported even if the risk is the sum of many small ones.
     """
     radius = settings.crewed_m / math.sqrt(2.0)
     gap = minus(own.position, point_at(path, path_s))

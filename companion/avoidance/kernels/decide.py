@@ -79,12 +79,12 @@ BOUNDARY_LAG_S = 1.0
 """Time from a decision to the vehicle's response, for floor and ceiling: autopilot lag, period and
 latency."""
 BOUNDARY_MPS2 = 1.0
-"""Greatest deceleration that is counted on before floor and ceiling, whatever the limit of the command is.
-ArduPilot reached 1.1 m/s^2 vertically, and 2.8 horizontally (docs/simulation-results.md)."""
+"""Greatest deceleration that is assumed for stopping before floor and ceiling, even if the command's limit is
+higher. ArduPilot reached 1.1 m/s^2 vertically and 2.8 horizontally (docs/simulation-results.md)."""
 TURN_MPS = 2.0
-"""The turn to the right leads aside with at most this speed, as 0.2 rad do at 10 m/s. At 20 m/s the whole
-angle costs more room than the planes need, and aircraft that turn and return on what others did seconds ago
-weave. With 1 m/s, 3 of 7,000 such flights lost separation (seeds 2,001 to 2,500), with 2 m/s none."""
+"""Greatest sideways speed that the turn to the right adds: that of 0.2 rad at 10 m/s. At 20 m/s the whole
+angle takes more room than the planes need, and aircraft weave because they turn and return by what others did
+seconds ago. With 1 m/s, 3 of 7,000 such flights lost separation (seeds 2,001 to 2,500), with 2 m/s none."""
 RESTART_S = 1.0
 """After a pause longer than this and than five periods, the command starts again from the own velocity."""
 
@@ -211,8 +211,8 @@ def _fence_first(
 
 @compiled
 def _bounded(work: Workspace, count: int, hard: int, solved: Vector) -> tuple[bool, bool, bool]:
-    """Say of each neighbour whether its planes bound a velocity. Returns whether the first plane does, the
-    second one, and any other hard one."""
+    """Note for each neighbour whether its planes bound a velocity. Returns whether the first plane (least
+    down speed), the second plane (greatest down speed), and any other hard plane do."""
     for j in range(count):
         asked = work.asked[j]
         active = on_plane(plane_at(asked, 0), solved) or on_plane(plane_at(asked, 1), solved)
@@ -251,7 +251,7 @@ def decide(
         fence: table of walls (`Wall`).
         state: returned by the decision before, or by `first_state`.
         history: written.
-        work: for so many walls and neighbours; written.
+        work: tables for at least that many walls and neighbours; written.
     """
     law, delay_s = settings.law, state.delay_s
     least, most = down_speeds(own, settings)

@@ -1,10 +1,11 @@
-"""What moves towards us so fast that no velocity within reach keeps its volume clear: out of its way.
+"""Moves aside from an aircraft that approaches too fast for any reachable velocity to keep its volume clear.
 
-The plane of ORCA asks for the smallest change of velocity that keeps the volume. Near a fast aircraft that is
-ahead, this change mostly points backwards, and the command spends its limited acceleration on braking, which
-hardly delays the meeting. Moving aside, across the relative motion, is what leads farthest from it. This is
-asked for where the position was measured from ours: what a sensor sees first at 40 m leaves three seconds,
-while others are heard in time, and what is heard seconds late does not tell on which side it will pass.
+The plane of ORCA requires the smallest change of velocity that keeps the volume clear. Near a fast aircraft
+ahead of us, this change mostly points backwards. The command then spends its limited acceleration on braking,
+which hardly delays the meeting. Moving sideways, across the relative motion, gains the most distance. It is
+required only for positions that a sensor measured relative to ours: an aircraft that is first seen at 40 m
+leaves three seconds. Transmitting aircraft are heard in time, and messages that are seconds old do not show
+on which side an aircraft will pass.
 """
 
 from __future__ import annotations
@@ -16,16 +17,17 @@ from companion.avoidance.kernels.settings import DEMAND, Own, Settings
 from companion.avoidance.kernels.vectors import Plane, Vector, dot, times
 
 ANSWERS_S = 0.5
-"""Time until the vehicle follows a command; this much less is left to move aside."""
+"""Time until the vehicle follows a command. It is not available for moving aside."""
 SAME_SIDE_M, TURNED_MPS = 2.0, 1.0 / 3.0
-"""The side to which the command has turned from the wanted velocity already is preferred by SAME_SIDE_M, and
-by less if it has turned by less than TURNED_MPS. On which side another aircraft passes is known to some
-metres only at first, and who changes sides with every measurement stays in the middle."""
+"""Preference, in metres of distance, for the side to which the command already differs from the wanted
+velocity. It is smaller if the difference is below TURNED_MPS. At first it is known only to some metres on
+which side another aircraft will pass, and an aircraft that changes sides with every measurement stays in the
+middle."""
 
 
 @compiled
 def way_aside(more_mps: float, t: float, acceleration: float) -> float:
-    """Way (m) in a time t (s) by accelerating until `more_mps` are reached."""
+    """Distance (m) gained in a time t (s) by accelerating until the speed has grown by `more_mps`."""
     until = max(more_mps, 0.0) / acceleration
     if t < until:
         return 0.5 * acceleration * t * t
@@ -36,11 +38,11 @@ def way_aside(more_mps: float, t: float, acceleration: float) -> float:
 def escape(
     away: Vector, velocity: Vector, own: Own, turned: Vector, radius: float, settings: Settings
 ) -> tuple[bool, Plane]:
-    """The plane that asks to move aside, level and across the relative motion, and whether it is to replace
-    that of ORCA.
+    """Whether to replace the plane of ORCA, and the plane that then requires to move aside: level, and across
+    the relative motion.
 
-    The side is the one on which the least distance can become larger, by the speed and the acceleration that
-    are left there. If it can reach `radius`, nothing is to be replaced.
+    The side is the one on which the least distance can become larger, given the speed and the acceleration
+    that are left on that side. If it can reach `radius`, the plane of ORCA stays.
 
     Args:
         away: position of the other aircraft minus ours, m.

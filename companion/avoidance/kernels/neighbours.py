@@ -1,5 +1,4 @@
-"""Other aircraft: what their past says of them, where they are now, and the plane that each of them asks
-for."""
+"""Neighbours: what their past messages show, where they are now, and the plane that each of them requires."""
 
 from __future__ import annotations
 
@@ -26,13 +25,14 @@ from companion.avoidance.kernels.vectors import (
 )
 
 NEWS_S = 0.9
-"""A message that is less than this newer than the last one that counted says nothing of a track's past."""
+"""`note_track` ignores a message that is newer than the last one that counted by less than this."""
 MANOEUVRE_S = 2.9
-"""Least time between two messages that are compared to find manoeuvres. A manoeuvre shows by the square of
-this time, noise does not."""
+"""Least time between two messages that are compared to find manoeuvres. The deviation by a manoeuvre grows
+with the square of this time, that by noise does not."""
 USUAL_M, USUAL_MPS, USUAL_S = 0.6, 0.9, 4.0
-"""Deviation that is no manoeuvre: of each metre of declared error, and of each second up to USUAL_S. With 3 m
-declared and three seconds it is 4.5 m, the way of an aircraft that gives way with 1 m/s^2."""
+"""Deviation that does not count as a manoeuvre: USUAL_M for each metre of declared error, plus USUAL_MPS for
+each second up to USUAL_S. For a declared error of 3 m and three seconds it is 4.5 m, the distance by which an
+aircraft moves that gives way with 1 m/s^2."""
 GROWTH_FACTOR = 2.5
 """Growth for each metre per second of further deviation."""
 GROWTH_MEMORY_S = 60.0
@@ -46,7 +46,7 @@ With one message a second, delays that differ by a second already make gaps of 2
 KEPT_S = 15.0
 """A track is used for this long after its message, whatever its gaps."""
 KEPT_GAPS, KEPT_MORE = 3.0, 2.0
-"""A track is used for so many of its longest recent gaps, but for at most KEPT_MORE times the least time.
+"""A track is used for KEPT_GAPS times its longest recent gap, but for at most KEPT_MORE times the least time.
 Where four of five messages are lost, gaps of 15 s are common, and aircraft that forget each other meet."""
 GAP_MEMORY_S = 60.0
 """Time constant with which the longest gap of a track fades."""
@@ -119,7 +119,7 @@ class Other(NamedTuple):
     turn_rps: float
     """Turn rate of crewed traffic, positive to the right."""
     sigma_down_m: float
-    """Error of the height of crewed traffic beside ours."""
+    """Error of the height of crewed traffic relative to ours."""
     yields: float
     """1: its planes are kept only as far as those of all others allow."""
     relative: float
@@ -127,7 +127,7 @@ class Other(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What a decision says of a neighbour; its row in the table of reports."""
+    """Report of a decision on one neighbour; its row in the table of reports."""
 
     n: float
     """Position predicted for now, NED, m."""
@@ -156,7 +156,7 @@ class Volume(NamedTuple):
 
 
 class Relative(NamedTuple):
-    """Another aircraft beside the own one; NED, m and m/s."""
+    """Another aircraft relative to the own one; NED, m and m/s."""
 
     away: Vector
     """Its position minus ours."""

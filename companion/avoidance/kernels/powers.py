@@ -1,4 +1,4 @@
-"""What the received powers of a sender say of the positions that it reports.
+"""Whether the received powers of a sender agree with the positions that it reports.
 
 Received power falls with distance, here by 20 dB for each factor of ten, as in free space. The sender's power
 and antenna and the shadowing of a link are unknown but nearly constant: they shift all messages of one radio
@@ -117,7 +117,7 @@ def note_power(
 
 @compiled
 def suspicion(log: Floats) -> tuple[float, float, float, float]:
-    """What the powers say together.
+    """Evaluate all powers so far.
 
     Args:
         log: log likelihood of each hypothesis, relative to that of the truth.

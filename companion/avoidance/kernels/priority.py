@@ -1,8 +1,8 @@
 """The order in which the planes of a decision count: limits and fence, aircraft, and aircraft that yield.
 
-An aircraft yields if it presses on us (`companion.authority.influence`). Were its plane one among all, a
-ghost that stays inside its volume could push us into another aircraft: where both planes cannot be kept,
-the violation is divided between them.
+A track yields if it may be forged to press on us (`companion.authority.influence`). If its plane counted as
+much as the others, a ghost that stays inside its volume could push us into another aircraft, because the
+violation is divided between planes that cannot all be kept.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def put_last(neighbours: Floats, count: int, planes: Floats, first: int, last: i
 def solve_in_order(asked: Asked, speed: float, wish: Vector) -> tuple[bool, Vector]:
     """Find the velocity as `solve` does; the last planes count only where all others leave a choice.
 
-    Where not even the others can all be kept, they leave a choice as far as none of them is violated by more
-    than the most violated one is without the last.
+    If not even the others can all be kept, the last planes may use any velocity that violates none of the
+    others by more than the largest violation without the last planes.
 
     Args:
         asked: the planes; those after the hard ones are reordered, the last ones among themselves.

@@ -1,4 +1,4 @@
-"""What a decision takes and gives besides tables: settings, own state, memory and result of a law."""
+"""Input and output of a decision apart from tables: settings, own state, memory and result of a law."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def first_state(settings: Settings, samples: int) -> State:
 
 
 def workspace(walls: int, neighbours: int) -> Workspace:
-    """Tables for decisions with up to so many walls and neighbours."""
+    """Tables for decisions with up to this many walls and neighbours."""
     rows = plane_rows(walls, neighbours)
     return Workspace(
         planes=np.zeros((rows, PLANE_COLUMNS)),

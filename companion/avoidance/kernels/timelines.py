@@ -1,4 +1,4 @@
-"""What is known by time: the timed path, and the history of own velocities."""
+"""Values over time: the timed path, and the history of own velocities."""
 
 from __future__ import annotations
 

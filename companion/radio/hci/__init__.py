@@ -5,6 +5,6 @@ user channel, UART or TCP) and runs an `HciSession` on it. The session (`session
 `setup` probes and prepares the controller, `advertising.AdvertisingSet` sends frames one by one, and
 `reports.Reassembler` joins received reports to whole frames. `packets` and `controller_events` hold the byte
 formats of commands and events. The import rules are those of `companion.radio` (`ROOMS` in
-tests/test_imports.py); these files need `errors`, `events` and `remote_id`. Start reading at `hci_radio`,
+tests/test_imports.py); the driver needs `errors`, `events` and `remote_id`. Start reading at `hci_radio`,
 then `session`.
 """

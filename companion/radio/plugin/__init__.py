@@ -1,1 +1,1 @@
-"""The radio of a plug-in (`dmuca.radios`), behind a guard that trusts nothing of it."""
+"""The radio of a plug-in (`dmuca.radios`), behind a guard that checks everything it returns."""

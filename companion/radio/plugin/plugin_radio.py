@@ -1,4 +1,4 @@
-"""Opens the radio of a plug-in, and guards it: whatever it raises or returns, the flight goes on.
+"""Opens the radio of a plug-in, and guards it so that nothing it raises or returns ends the flight.
 
 A plug-in of `dmuca.radios` is a function of a table of options (`[radio.options]` of the configuration) and a
 `radio.RadioContext` that returns a `radio.Radio`. It raises `companion.errors.ConfigError` for what the user
@@ -152,7 +152,7 @@ def open_radio(section: PluginRadio, context: RadioContext) -> GuardedRadio:
 
 
 def _checked(event: Any) -> RemoteIdHeard:
-    """What was heard, with nothing in it but what can be on the air.
+    """The heard frames, rebuilt so that they hold only what can be on the air.
 
     Raises:
         Exception: it breaks the contract.

@@ -1,8 +1,8 @@
 """Which key an identity has: configured keys, and keys that a configured registry endorses over the air.
 
-Only configured anchors endorse. A key that was learned from an endorsement signs its own messages, but
-endorses nobody: a DET does not show whether it is a registry's or an aircraft's, so that otherwise every
-registered aircraft could register others.
+Only endorsements by configured anchors count. A key that was learned from an endorsement proves messages of
+its owner, but cannot endorse others: a DET does not show whether it is a registry's or an aircraft's, so
+otherwise every registered aircraft could register others.
 """
 
 from __future__ import annotations

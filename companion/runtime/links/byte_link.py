@@ -92,7 +92,7 @@ class Link(Protocol):
 
 
 class Waiting:
-    """Tracks since when the bytes have waited that a stream accepted and that have not left yet."""
+    """Tracks for how long bytes that a stream has accepted have waited to leave."""
 
     def __init__(self) -> None:
         self._given = 0

@@ -81,7 +81,7 @@ class StreamLink(ABC):
         if self._unsent or self._unanswered(len(data), now) or not self._takes_more(now):
             self._trouble.dropped += 1
             return
-        # The looks above are calls to the kernel, in which this process may have been held up.
+        # The checks above call the kernel, which may have held up this process.
         taken = 0 if clock.now_s() - now > HELD_S else self._try_write(data)
         if not taken:
             self._trouble.dropped += 1

@@ -1,4 +1,4 @@
-"""What a flight tells about itself: its status line, the live status, and the summary at its end."""
+"""Reports of a flight: its status line, its live status, and the summary at its end."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class LoopCounts:
 
     ticks: int
     late_ticks: int
-    """Deadlines that were missed."""
+    """Number of deadlines that were missed."""
     stalls: int
-    """Times at which the process or its computer stood still."""
+    """Number of times that the process or its computer stood still."""
 
 
 @dataclass

@@ -1,1 +1,1 @@
-"""What a flood of received frames may cost."""
+"""Bounds the cost of a flood of received frames."""

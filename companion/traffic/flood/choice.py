@@ -1,17 +1,17 @@
-"""Chooses the frames that a crowded step uses, so that a flood costs a bounded time and drowns nobody.
+"""Chooses the frames that a crowded step uses, so that a flood costs a bounded time and hides no aircraft.
 
 All frames of a step are used up to `ALL`. In a step with more:
 
-- Addresses that feed a track come first, those whose tracks have waited longest before the others, up to
-  `KNOWN` frames. If one of them sends more than `OF_ADDRESS`, those frames are taken that continue its tracks
-  best: no address has a quota that whoever copies it could use up.
+- Frames of addresses that feed a track come first, up to `KNOWN`, beginning with the address whose tracks
+  have waited longest. If an address sends more than `OF_ADDRESS` frames, those that continue its tracks best
+  are taken. An attacker who copies the address can therefore not use up a quota of it.
 - Of all other frames with a position, `STRANGE` are taken: threats first, by the same rule as in a full table
-  (`eviction`). One from the least crowded direction and class of time and range comes before the second of
-  any. So a flood leaves out no threat from a direction of its own.
+  (`eviction`). One from each direction and class of time and range comes before the second of any, so a flood
+  leaves out no threat that is alone in its direction.
 - Of all other frames without a position, the first `NAMELESS` are taken.
 
-What is left out is as if the radio had not received it. Numbers of frames count, not times, so that a replay
-makes the same choice.
+Frames that are left out count as not received. The choice depends on numbers of frames, not on processing
+time, so that a replay makes the same choice.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from companion.traffic.track import Track
 ALL = 96
 KNOWN, STRANGE, NAMELESS = 96, 32, 16
 OF_ADDRESS = 8
-"""An honest sender sends at most one frame in 20 ms, and one Location in 50 ms."""
+"""Frames of one address in a step that are used without a choice. An honest sender sends at most one frame in
+20 ms, and one Location in 50 ms."""
 _M_PER_DEG = 111_194.9
 
 
@@ -90,8 +91,8 @@ def chosen(
 def _places(frames: Sequence[RemoteIdHeard], frame: LocalFrame, separation_m: float | None) -> Floats:
     """Position and velocity (NED, m and m/s) and declared error (m) of the first Location of each frame.
 
-    NaN where there is none. An unknown height is NaN, an unknown velocity 0. The earth is taken as flat and
-    round, which is exact enough to compare urgencies.
+    All values are NaN for a frame without one. An unknown height is NaN, an unknown velocity 0. Positions are
+    computed on a plane that touches a spherical Earth, which is accurate enough to compare urgencies.
     """
     rows: list[tuple[float, ...]] = []
     east = _M_PER_DEG * math.cos(math.radians(frame.lat_deg))

@@ -60,8 +60,9 @@ class Source:
 
 @dataclass(slots=True)
 class Sources:
-    """Radio addresses that were heard, at most `most`. The one that has been silent longest is removed
-    first, and those that feed a track last: whoever churns through addresses makes nobody forget theirs."""
+    """Radio addresses that were heard, at most `most`. The one that has been silent longest is removed first,
+    and those that feed a track last, so that a sender that keeps changing its address does not displace
+    others."""
 
     most: int
     _idle: OrderedDict[str, Source] = field(default_factory=OrderedDict)

@@ -1,9 +1,10 @@
 """Finds where a transmitted track and a sensed object are one aircraft, so that it is avoided once.
 
-The sensed object always stays: it is what is truly there. A transmitted track is left out while it agrees
-with one sensed object, in place and velocity, for `AGREED_S` and without a doubt about which is which. So a
-ghost on the radio that claims to be at a hovering obstacle gains nothing: the obstacle stays, and the ghost
-is avoided again as soon as it leaves. Crewed traffic is never left out, because its separations are larger.
+The sensed object always stays, because it was measured. A transmitted track is left out once it has agreed
+with one sensed object, in place and velocity, for `AGREED_S`, and only while that pairing is unambiguous. A
+forged track that claims to be at a hovering obstacle therefore gains nothing: the obstacle stays, and the
+forged track is avoided again as soon as it leaves. Crewed traffic is never left out, because its separations
+are larger.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ AGREED_S: Final = 2.0
 _SIGMAS: Final = 3.0
 _ROOM_M, _HIGH_M, _ROOM_MPS = 2.0, 20.0, 2.5
 _GOOD_MPS: Final = 2.5
-"""A velocity with a larger error agrees with nothing."""
+"""A velocity with a larger error is not accepted as agreement."""
 _OLDEST_S: Final = 3.0
 
 Key = tuple[bool, str]
@@ -28,11 +29,11 @@ Key = tuple[bool, str]
 
 
 class Fusing:
-    """Which transmitted tracks are sensed, too."""
+    """Which transmitted tracks are also sensed."""
 
     def __init__(self) -> None:
         self._since_s: dict[tuple[Key, str], float] = {}
-        """Since when a transmitted track and a sensed object agree."""
+        """Time since which a transmitted track and a sensed object have agreed."""
         self.fused: dict[Key, str] = {}
         """Transmitted tracks that are left out now, and the names of their sensed objects."""
 

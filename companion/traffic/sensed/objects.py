@@ -1,15 +1,15 @@
-"""Objects that a sensor sees, followed over time: places become tracks with a velocity and its error.
+"""Objects that a sensor sees, tracked over time: places become tracks with a velocity and its error.
 
-Each track is a filter of constant velocity along the line of sight and another one across it, because a
-sensor measures distances far better than directions. The error across is that of a sector's width. It does
-not average out, because a thing that stays in its sector is always seen in the middle of that: measurements
-that follow one another are counted as if they came `CORRELATED_S` apart.
+Each track has a constant-velocity filter along the line of sight and another one across it, because a sensor
+measures distances far better than directions. The error across is that of a sector's width. It does not
+average out, because an object that stays in its sector is always reported in the middle of it. Consecutive
+measurements are therefore weighted as if they came `CORRELATED_S` apart.
 
-A track counts as standing until its velocity is beyond three deviations and faster than `STANDING_MPS`. So a
-pole stands from the first measurement on, and an aircraft moves as soon as that is known.
+A track counts as standing until its velocity exceeds both three standard deviations and `STANDING_MPS`. So a
+pole stands from the first measurement on, and an aircraft moves as soon as its motion is significant.
 
-That something comes nearer is known within a few measurements, where it will pass only after seconds. Until
-then an object that moves is taken to be on collision course: its bearing stays as it is, which means that it
+A few measurements show that an object comes nearer, but it takes seconds to measure where it will pass. Until
+then a moving object is assumed to be on a collision course: its bearing stays constant, which means that it
 moves across the line of sight as fast as we do (`Followed.seen_from`).
 """
 
@@ -26,9 +26,9 @@ from companion.traffic.sensed.pose import Pose
 from companion.traffic.sensed.seen import Seen, View, bearing_sigma_rad
 
 MOST: Final = 24
-"""Most objects that are followed."""
+"""Largest number of objects that are tracked."""
 CONFIRMED: Final = 2
-"""Measurements after which a thing is avoided: a single one may be a bird, rain or noise."""
+"""Number of measurements after which an object is avoided. A single one may be a bird, rain or noise."""
 EXPIRE_S, STANDING_EXPIRE_S, UNCONFIRMED_S = 2.0, 3.0, 0.6
 """How long an object is kept after its last measurement if it moves, if it stands, and if it was measured
 once."""
@@ -36,25 +36,26 @@ FIRST_SIGMA_MPS, FIRST_ACROSS_MPS = 6.0, 3.0
 """Deviation of an unknown velocity along the line of sight and in height, and across it."""
 CORRELATED_S: Final = 0.7
 MANOEUVRE_MPS2: Final = 1.5
-"""What the velocity may change by in a second, one standard deviation."""
+"""Change of velocity in a second, one standard deviation."""
 STANDING_MPS: Final = 1.0
 MOST_MPS: Final = 120.0
 TRACKED_SIGMA_M: Final = 3.0
-"""Error of the place of an aircraft that the sensor follows itself, on each axis, if its own errors say no
-more."""
+"""Error of the position of an aircraft that the sensor tracks itself, on each axis, one standard
+deviation."""
 TRACKED_SIGMA_MPS: Final = 1.0
 _GATE: Final = 3.0
 _ROOM_M: Final = 1.5
 _HIGH_M: Final = 8.0
 _FAR_M: Final = 60.0
-"""Nothing that is farther off than this is looked at more closely."""
+"""A place farther than this from where an object is expected, on either axis, is never that object."""
 _HEIGHT_SHARE: Final = 0.05
 """Error of a height as a share of the distance."""
 _SIGNIFICANT2, _INSIGNIFICANT2 = 9.0, 4.0
 """Squares of the ratio of a velocity to its error, above which a standing object moves, and below which a
 moving one stands."""
 _PASSED: Final = 5
-"""So many scans one after the other that see past an object remove it. Thin ones are missed now and then."""
+"""An object is removed after this many consecutive scans that see past it. Thin objects are sometimes
+missed."""
 
 
 class _Axis(NamedTuple):
@@ -101,13 +102,13 @@ class Followed:
     tall: bool
     vertical_known: bool
     tracked: bool
-    """The sensor reports its velocity."""
+    """Whether the sensor reports its velocity."""
     met_mps: Vec3
     """Own velocity when it was first seen."""
     measured: int = 1
     moves: bool = False
     passed: int = 0
-    """Scans since its last measurement that see past it."""
+    """Number of consecutive scans that saw past it since its last measurement."""
 
     @property
     def confirmed(self) -> bool:
@@ -127,8 +128,8 @@ class Followed:
         return math.sqrt(max(self.along.vv, self.across.vv))
 
     def seen_from(self, here: Vec3) -> Vec3:
-        """Its velocity as it is to be assumed: none if it stands, and on collision course as far as its
-        motion across the line of sight is not known.
+        """Velocity to assume (NED, m/s): zero if it stands; on a collision course as far as its motion across
+        the line of sight is not known.
 
         Args:
             here: own position (NED, m).
@@ -209,7 +210,7 @@ class Objects:
                 fed.add(one.name)
                 self._update(one, places[number], pose)
         if view is not None:
-            # What moves is soon forgotten anyway, and where it is now is only predicted.
+            # A moving object is soon forgotten anyway, and its present place is only a prediction.
             for one in [one for one in free if one.name not in fed and one.key is None and not one.moves]:
                 one.passed = one.passed + 1 if view.passes(one.position, flat=one.flat) else 0
             self.held = [one for one in self.held if one.passed < _PASSED]
@@ -231,7 +232,8 @@ class Objects:
         return self.config.range_sigma_m**2, max(across, 0.01), high * high
 
     def _off(self, where: _Expected, place: Seen, key: tuple[int, int] | None, pose: Pose) -> float | None:
-        """How far a place is from where an object is expected, in deviations; None: it is another thing."""
+        """Distance of a place from where an object is expected, in standard deviations; None if it cannot be
+        it."""
         one = where.one
         if key is not None and one.key is not None and key != one.key:
             return None

@@ -1,4 +1,4 @@
-"""Where and how turned the own vehicle was when a sensor measured.
+"""Position and attitude of the own vehicle at the time of a measurement.
 
 A measurement is used only with an attitude and a position that are recent enough: a wrong heading of ten
 degrees moves an obstacle 40 m away by 7 m.
@@ -21,7 +21,7 @@ MOST_TILT_RAD: Final = math.radians(45.0)
 MOST_TURN_RPS: Final = math.radians(90.0)
 """Measurements of a vehicle that leans more, or turns faster, are not used."""
 SKEW_S: Final = 0.05
-"""Error of the times of attitudes and measurements beside each other."""
+"""Error of the time of a measurement relative to that of an attitude."""
 _KEPT_S: Final = 2.0
 _KEPT: Final = 64
 _TURN_OVER_S: Final = 0.05
@@ -41,14 +41,14 @@ class Pose:
     """Rows of the matrix that turns body axes (forward, right, down) into NED."""
     yaw_rad: float
     turn_rps: float
-    """How fast it turned, without a sign."""
+    """Magnitude of its turn rate."""
     home_down_m: float
     """NED down of home."""
     local: Vec3 | None
     """The own position in the autopilot's local frame, NED, m; None: not known."""
 
     def turned(self, forward: float, right: float, down: float) -> Vec3:
-        """A vector along body axes, in NED."""
+        """Rotate a vector from body axes to NED."""
         a, b, c = self.rows
         return (
             a[0] * forward + a[1] * right + a[2] * down,
@@ -116,8 +116,8 @@ class Poses:
         )
 
     def _turn_rps(self, near: _Turned) -> float:
-        """How fast the vehicle turned around that attitude, from the nearest others some time before or
-        after."""
+        """Magnitude of the vehicle's turn rate at an attitude, from the nearest attitudes some time before or
+        after it."""
         fastest = 0.0
         for side in (-1.0, 1.0):
             apart = [a for a in self._attitudes if side * (a.at_s - near.at_s) >= _TURN_OVER_S - 1e-6]

@@ -1,9 +1,9 @@
-"""Makes places in the local frame of what sensors reported, and groups them to objects and surfaces.
+"""Converts what sensors reported to places in the local frame, and groups them to objects and surfaces.
 
-Neighbouring sectors of a scan with similar distances are one thing. What fits into `OBJECT_M` is an object:
-one place, which lies somewhere within its sectors. What is wider is a surface, of which every sector gives a
-place. An aircraft covers one or two sectors, or more of them when it is near; a wall covers many. How wide a
-thing is at least follows from its inner sectors: it may only touch the outer two.
+Neighbouring sectors of a scan with similar distances count as one thing. A thing that may fit into `OBJECT_M`
+is an object: one place, which lies somewhere within its sectors. A wider thing is a surface, for which every
+sector gives a place. An aircraft covers one or two sectors, or more when it is near; a wall covers many. The
+least width of a thing follows from its inner sectors, because it may only touch the outer two.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MOST_POINTS: Final = 48
 WIDE: Final = 0.15
 """Sectors whose half width is a larger share of the distance are wide: those of more than 17 degrees."""
 _APART_M: Final = 2.0
-"""Two places farther apart than this, and than what their sectors explain, are of two things."""
+"""Two places belong to two things if they are farther apart than this and than their sectors explain."""
 _SLANT: Final = 2.5
 """A surface seen at a slant has places that are farther apart than its sectors are wide, by up to this
 factor."""
@@ -40,7 +40,8 @@ class Seen(NamedTuple):
 
     position: Vec3
     across_m: float
-    """Half the width within which it lies: that of its sectors, or of its points. A bound, no deviation."""
+    """Half the width within which it lies, that of its sectors or points: a bound, not a standard
+    deviation."""
     flat: bool
     """Its height is only that of the plane of the sensor."""
     tall: bool = False
@@ -146,16 +147,17 @@ def _is_wide(run: Sequence[_Sector], half_rad: float) -> bool:
 def _is_coarse(run: Sequence[_Sector], half_rad: float) -> bool:
     """Whether several wide sectors, each of them wider than an object, see one thing.
 
-    It has a place in each then: a single place in the middle of all would have a margin that is wider than it
-    is far away, so that nobody finds a way past it.
+    Such a thing gets a place in each sector. A single place in the middle of all would have a margin larger
+    than its distance, which would leave no way past it.
     """
     nearest = min(sector.distance for sector in run)
     return len(run) > 1 and math.sin(half_rad) > WIDE and 2.0 * half_rad * nearest > OBJECT_M
 
 
 def _beside_nearer(run: Sequence[_Sector], distances: Mapping[int, float], around: int | None) -> bool:
-    """Whether the sector beside sees something nearer. Then this may be more of that, at a slant, or partly
-    hidden by it: as the aircraft flies on, it would seem to move along the line of sight.
+    """Whether a neighbouring sector sees something nearer. This may then be another part of the same thing,
+    seen at a slant or partly hidden by it. As the aircraft flies on, it would seem to move along the line of
+    sight.
 
     Args:
         distances: what each sector sees, by its number.
@@ -252,8 +254,8 @@ class View:
         self._most_m = min(0.01 * scan.max_cm, config.max_range_m)
 
     def passes(self, position: Vec3, *, flat: bool) -> bool:
-        """Whether the scan sees past a place (local NED, m). `flat`: its height is not known, and is taken
-        for ours: a sensor whose plane leans there says nothing of it."""
+        """Whether the scan sees past a place (local NED, m). `flat`: its height is not known and is assumed
+        to be ours, so a scan whose plane leans in that direction says nothing about it."""
         scan, pose = self._scan, self._pose
         away = tuple(q - p for p, q in zip(pose.position, position, strict=True))
         if flat:

@@ -1,8 +1,8 @@
 """Everything that sensors aboard see, as neighbours for the law.
 
-A sensed track transmits nothing and does not avoid us: the law does all of the avoidance. It counts as
-proven, because it was measured and not told: it is never left out because it held us for too long. A pole and
-a wall stand, and are avoided to the side only, because nobody knows how tall they are.
+A sensed track transmits nothing and is assumed not to avoid us, so the law does all of the avoidance. It
+counts as proven, because it was measured and not reported: it is avoided however long it has held us. Poles
+and walls stand still, and are passed only to the side, because their height is not known.
 
 The table of sensed tracks is its own: however many there are, no transmitted track is displaced, and there
 are never more of them than `objects.MOST` and `surfaces.MOST`.
@@ -49,10 +49,10 @@ MOST_SPAN_S: Final = 0.2
 _MOST_SCANS: Final = 4
 """Most scans that are used in one step."""
 _ERRORS: Final = 3.0
-"""Deviations of a measurement that the margin contains, besides the width of the sectors."""
+"""Standard deviations of a measurement in the margin, in addition to the width of the sectors."""
 _DRIFT_MPS: Final = 0.5
-"""How fast the error of the own position may change. By this alone it plays a part in what was measured from
-the own vehicle, some time ago."""
+"""Assumed rate at which the error of the own position changes. A measurement relative to the own vehicle is
+affected only by the change since it was made."""
 _REFUSED_S, _SILENT_S, _AGAIN_S = 2.0, 3.0, 10.0
 """Time without usable measurements, and time without scans, after which the pilot is told; and least time
 between two such texts."""
@@ -66,7 +66,8 @@ class SensedCounts:
     points: int = 0
     aircraft: int = 0
     refused: int = 0
-    """Of these, not used: no attitude or position, or the vehicle leaned or turned too much."""
+    """Measurements of these that were not used, because attitude or position was unknown, or the vehicle
+    leaned or turned too much."""
 
 
 class SensedTraffic:
@@ -114,7 +115,7 @@ class SensedTraffic:
                 case ObstacleScan() | ObstaclePoint() | SensedAircraft():
                     measured.append(event)
         if own.unfit(now_s, self._stale_after_s) is not None:
-            # Where the own position jumped, everything lies elsewhere.
+            # If the own position has jumped, all stored places are wrong.
             self._objects.clear()
             self._surfaces.clear()
         if not measured:
@@ -191,8 +192,8 @@ class SensedTraffic:
 
     @property
     def fused(self) -> dict[tuple[bool, str], str]:
-        """Transmitted tracks that are left out, because they are sensed: whether from ADS-B, and id; with the
-        name of the sensed track."""
+        """Transmitted tracks that are left out because they are also sensed. Key: whether the track is from
+        ADS-B, and its id. Value: id of the sensed track."""
         return {key: SENSED + name for key, name in self._fusing.fused.items()}
 
     def joined(self, now_s: float, own: Ownship, heard: Sequence[Neighbour]) -> list[Neighbour]:
@@ -205,7 +206,7 @@ class SensedTraffic:
         return left + self.look(now_s, own)
 
     def look(self, now_s: float, own: Ownship) -> list[Neighbour]:
-        """All that is sensed. Nothing changes."""
+        """All that is sensed, without a change of state."""
         here, sigma_m = own.position_ned_m(now_s), own.sigma_m
         found = [self._object(one, now_s, here, sigma_m) for one in self._confirmed(now_s)]
         return found + [
@@ -278,26 +279,26 @@ class SensedTraffic:
 
 
 def _level_m(flat: bool, distance_m: float) -> float:
-    """Within which difference of heights (m) a thing counts as at our height."""
+    """Largest difference of heights (m) at which an object counts as being at our height."""
     return LEVEL_M + (_LEANS * distance_m if flat else 0.0)
 
 
 def _aside_m(place: Seen, distance_m: float) -> float:
-    """Margin (m) for the width of what a place of a surface was seen in.
+    """Margin (m) for the width of the sector, or points, in which a place of a surface was seen.
 
-    That is half the width, but a quarter in a wide sector. How far off the surface is, is measured in every
-    sector, and not by its width: whoever passes the middle of a sector of 45 degrees at 12 m passes the true
-    place at 11 m or more. With half the width, no way around a wall is left, because the sectors beside its
-    nearest one block what is free.
+    The margin is half the width, but a quarter of it for a wide sector. The distance to the surface is
+    measured in every sector, whatever its width: passing the middle of a sector of 45 degrees at 12 m keeps
+    11 m or more from the true place. With half the width there would be no way around a wall, because the
+    sectors beside the nearest one would block free space.
     """
     wide = place.flat and place.across_m > WIDE * distance_m
     return 0.5 * place.across_m if wide else place.across_m
 
 
 def _sigma_m(margin_m: float, own_sigma_m: float) -> float:
-    """Error (m) with which the law keeps at least a margin besides its separation.
+    """Position error (m) to declare, so that the law keeps at least a margin in addition to its separation.
 
     Args:
-        own_sigma_m: error of the own position, if the law adds it.
+        own_sigma_m: error of the own position, if the law adds it; otherwise 0.
     """
     return math.sqrt(max(0.0, (margin_m / SIGMAS) ** 2 - own_sigma_m**2))

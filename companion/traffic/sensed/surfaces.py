@@ -1,10 +1,9 @@
 """Surfaces that a sensor sees (walls, trees, masts with wires): a bounded number of places that stand still.
 
 The visible part of a wall moves along with the aircraft, so that its middle would seem to fly. Its places are
-therefore not followed with a velocity: each is the nearest measurement in a cell of a grid over the ground,
-and bears the name of the cell, so that it is the same place for as long as the wall stands there. Places out
-of the sensor's view are remembered for a moment, because an aircraft that turns away from a wall does not see
-it any more.
+therefore not tracked with a velocity: each is the nearest measurement in a cell of a grid over the ground and
+is named after the cell, so that it stays the same place while the wall stands there. Places out of the
+sensor's view are remembered for a moment, because an aircraft that turns away from a wall no longer sees it.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ def test_who_is_taken_again_soon_is_given_back_later_each_time():
         now_s += 10.0
     expected = [8, 16, 32, 60, 60, None, 8]
     assert waits == [
-        None if wait is None else f"DMUCA: vehicle taken again; next handback after {wait} s without conflict"
+        None if wait is None else f"DMUCA: control taken again; next handback after {wait} s without conflict"
         for wait in expected
     ]
     assert guard.left == 8

@@ -65,7 +65,7 @@ def test_a_mission_that_is_faster_than_the_limit(
     vehicle: VehicleParameters, items: list[MissionItem], limit_mps: float, words: str | None
 ) -> None:
     text = too_fast(LimitsConfig(max_speed_mps=limit_mps), vehicle, items)
-    slows = ": when taken in a conflict, the vehicle slows down to that at once"
+    slows = ": in a conflict, the companion slows the vehicle down to that at once"
     assert text == (None if words is None else words + slows)
 
 

@@ -99,8 +99,8 @@ CROSSES = "crosses its border between waypoint[{}] and waypoint[{}]; at least 2.
 def test_a_path_that_breaks_an_area_is_refused(kept: FenceArea, points: Any, said: str) -> None:
     far = area(False, (5000.0, 5000.0), radius_m=10.0)
     text = trouble([far, kept], path(*points))
-    kind = "in" if kept.inclusion else "out of"
-    assert text.startswith(f"fence: area[1] (to be stayed {kind}): the path ")
+    kind = "inclusion" if kept.inclusion else "exclusion"
+    assert text.startswith(f"fence: area[1] ({kind}): the path ")
     assert said in text
     assert "\n" not in text
 

@@ -265,7 +265,7 @@ def test_the_mission_that_is_to_be_guarded(make_config: Callable[..., Config]) -
 
     fast = (
         "yellow",
-        "WP_SPD 9.6 is above limits.max_speed_mps 5: when taken in a conflict, the vehicle slows down to "
+        "WP_SPD 9.6 is above limits.max_speed_mps 5: in a conflict, the companion slows the vehicle down to "
         "that at once",
     )
     assert judge(MissionDownloaded(items=(slow, place))) == [("green", "2 items, read from the vehicle")]
@@ -307,7 +307,7 @@ def test_the_containment_is_told(make_config: Callable[..., Config]) -> None:
             "green",
             "crewed traffic: 500 m to the side, 96.25 m above the leg, down to the floor; 600 s, then hold",
         ),
-        ("yellow", "crewed_side_m 500 m is less than what avoidance.crewed_horizontal_m needs to the side"),
+        ("yellow", "crewed_side_m 500 m is less than the separation avoidance.crewed_horizontal_m"),
     ]
     found = Preflight()
     judge_containment(make_config(use="watch"), found)

@@ -195,7 +195,7 @@ def test_one_that_hovers_where_the_mission_leads_is_never_flown_into_then_the_ve
     assert bench.mode is FlightMode.HOLD
     assert (
         bench.texts.count(
-            "DMUCA yielded: unproven traffic has held us for 60 s: HOVERS: the vehicle is to hold"
+            "DMUCA yielded: unproven traffic has held us for 60 s: HOVERS: the vehicle is asked to hold"
         )
         == 1
     )

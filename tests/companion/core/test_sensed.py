@@ -107,7 +107,9 @@ def test_a_heard_aircraft_that_is_seen_is_one_and_the_alert_says_so(seeing):
         for _, c in seeing.log
         if isinstance(c, AlertChanged) and c.track_id == "OTHER" and not c.level
     ]
-    assert ends == [f"clear OTHER: avoided as {seeing.core.sensed.fused[False, 'OTHER']}, which it is"]
+    assert ends == [
+        f"clear OTHER: the same aircraft is avoided as {seeing.core.sensed.fused[False, 'OTHER']}"
+    ]
     names = {shown.track_id for shown in live_state.core_status(seeing.core, seeing.now_s, None)["tracks"]}
     assert "OTHER" not in names
 

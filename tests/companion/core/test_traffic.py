@@ -106,25 +106,25 @@ def test_a_fence_is_not_asked_for_while_the_vehicle_could_not_be_taken(fenced):
     [
         (
             (ROOMY, SHORT),
-            "fence: area[1] (to be stayed in): the path crosses its border between waypoint[0] and "
+            "fence: area[1] (inclusion): the path crosses its border between waypoint[0] and "
             f"waypoint[1]; {KEPT}",
         ),
         (
             (area(300.0, 400.0, 50.0, inclusion=False),),
-            "fence: area[0] (to be stayed out of): the path crosses its border between waypoint[0] and "
+            "fence: area[0] (exclusion): the path crosses its border between waypoint[0] and "
             f"waypoint[1]; {KEPT}",
         ),
         (
             (ROOMY, area(100.0, 2000.0, 50.0)),
-            "fence: area[1] (to be stayed in): the path begins outside of it",
+            "fence: area[1] (inclusion): the path begins outside of it",
         ),
         (
             (area(-50.0, 50.0, 50.0, inclusion=False),),
-            "fence: area[0] (to be stayed out of): the path begins in it",
+            "fence: area[0] (exclusion): the path begins in it",
         ),
         (
             (area(-500.0, 2000.0, 3.5),),
-            "fence: area[0] (to be stayed in): the path comes within 3.5 m of its border between "
+            "fence: area[0] (inclusion): the path comes within 3.5 m of its border between "
             f"waypoint[0] and waypoint[1]; {KEPT}",
         ),
     ],
@@ -230,13 +230,13 @@ def test_a_fence_from_a_file_is_not_asked_for(make_bench, areas, taken):
     bench.step(100)
     assert not times_of(bench, DownloadFence)
     assert (bench.core.state in HOLDING) is taken
-    assert [("area[1] (to be stayed in)" in text) for text in refusals(bench)] == [True] * (not taken)
+    assert [("area[1] (inclusion)" in text) for text in refusals(bench)] == [True] * (not taken)
 
 
 def test_a_path_that_the_fence_of_the_file_forbids_is_refused_before_the_flight(make_config):
     made = msgspec.structs.replace(make_config(), fence=(ROOMY,))
     check_path(made, "x")
-    with pytest.raises(ConfigError, match=r"fence: area\[1\] \(to be stayed in\): the path crosses"):
+    with pytest.raises(ConfigError, match=r"fence: area\[1\] \(inclusion\): the path crosses"):
         check_path(msgspec.structs.replace(made, fence=(ROOMY, SHORT)), "x")
 
 

@@ -67,8 +67,8 @@ def test_a_mission_that_is_faster_than_the_limit_is_told_of_once():
     sky = Sky(one, Guarded("TWO", Firmware.PX4, south, guarded=False, number=2))
     sky.until(lambda: one.core.in_control)
     said = [
-        "DMUCA: mission item 2: 9.6 m/s is above limits.max_speed_mps 8: when taken in a conflict, the "
-        "vehicle slows down to that at once"
+        "DMUCA: mission item 2: 9.6 m/s is above limits.max_speed_mps 8: in a conflict, the companion "
+        "slows the vehicle down to that at once"
     ]
     assert told_of_speed(one) == said
     assert math.dist(one.places[-1], one.places[-21]) == pytest.approx(9.6, abs=0.1)

@@ -252,7 +252,7 @@ def test_a_path_that_leaves_the_vehicles_fence_is_refused(firmware):
     pair = Meeting(firmware, limits=VEHICLES_OWN, fence=fence).run(30.0)
     assert pair.state is State.STANDBY
     (refused,) = [c.text for _, c in pair.timed(Say) if "refused" in c.text]
-    assert "fence: area[1] (to be stayed in): the path crosses its border" in refused
+    assert "fence: area[1] (inclusion): the path crosses its border" in refused
     assert not pair.timed(VelocitySetpoint)
     assert len(pair.timed(DownloadFence)) == 1
 

@@ -140,7 +140,7 @@ def test_crewed_traffic_has_a_total_of_its_own(then):
     assert sky.run(49.0, heli) == ["H"]
     assert sky.run(3.0, heli, other("A", at=(70.0, 0.0, 0.0))) == (["H", "A"] if then == "hold" else ["A"])
     assert sky.hold == ("crewed traffic has held us for 50 s: H" if then == "hold" else None)
-    what = "the vehicle is to hold" if then == "hold" else "not avoided any more"
+    what = "the vehicle is asked to hold" if then == "hold" else "not avoided any more"
     assert [c.text for c in sky.told if isinstance(c, Say)] == [
         f"DMUCA: crewed traffic has held us for 50 s: {what}"
     ]
