@@ -153,7 +153,7 @@ class Followers:
         for found in self._conflicts.values():
             gone = found.silent or now_s - found.seen_s > _LASTS_S
             near = math.dist(heir.beside, found.beside) <= PUSHED_M
-            if gone and near and 0.0 <= heir.named_s - found.heard_s <= _PAUSE_S:
+            if found is not heir and gone and near and 0.0 <= heir.named_s - found.heard_s <= _PAUSE_S:
                 found = replace(found, named_s=-math.inf, seen_s=now_s, heard_s=now_s, silent=False)
                 found.go_on(now_s, mps)
                 return found

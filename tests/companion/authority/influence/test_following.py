@@ -235,3 +235,29 @@ def test_what_is_remembered_is_bounded():
     pair.now_s += 20.0
     pair.step(LATER=(pair.own + np.array([0.0, -24.0, 0.0]), (7.0, 0.0, 0.0)))
     assert "LATER" in pair.followers
+
+
+def test_an_heir_that_falls_silent_itself_still_inherits_the_record():
+    """The ghost goes on under a new name, which falls silent too before the old one counts as gone."""
+    pair = Pair(message_s=PERIOD_S)
+    assert pair.fly(25.0, "FIRST", ghost((0.0, -20.0, 0.0))) is not None
+    last_s = pair.now_s
+
+    def conflict(name, now_s, heard_s):
+        age_s = now_s - heard_s
+        own, mps = tuple(pair.own.tolist()), tuple(pair.own_mps.tolist())
+        place = pair.own + np.array([0.0, -20.0, 0.0]) - age_s * pair.own_mps
+        other = Neighbour(name, tuple(place.tolist()), mps, age_s, 3.0, silent=age_s > 2.0)
+        follows = pair.followers.hear(now_s, name, own, mps, other)
+        pair.followers.conflict(now_s, name, own, mps, other)
+        return follows
+
+    for tenths in range(5, 45):
+        now_s = last_s + 0.1 * tenths
+        pair.own = pair.own + 0.1 * pair.own_mps
+        # The old name's last message came at last_s, one of the new name's just before its conflict began.
+        pair.followers.hear(now_s, "FIRST", tuple(pair.own.tolist()), tuple(pair.own_mps.tolist()),
+                            Neighbour("FIRST", (0.0, 0.0, 0.0), (7.0, 4.0, 0.0), now_s - last_s, 3.0,
+                                      silent=now_s - last_s > 3.0))  # fmt: skip
+        follows = conflict("SECOND", now_s, last_s + 0.4)
+    assert follows
