@@ -1,4 +1,4 @@
-"""A digest of a plug-in, to which kept results belong as they belong to the state of our own code."""
+"""A digest of a plug-in, so that kept results depend on the plug-in's state as on that of our own code."""
 
 from __future__ import annotations
 
