@@ -1,4 +1,5 @@
-"""The command `ground-tools campaign`: flies thousands of encounters and reports what the law is worth."""
+"""The command `ground-tools campaign`: flies thousands of encounters and reports the performance of the
+law."""
 
 from __future__ import annotations
 
