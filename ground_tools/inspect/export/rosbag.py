@@ -21,9 +21,9 @@ from ground_tools.inspect.read.read_run import Run
 _VERSION: Final = 8
 """Version of the bag's format: that of Humble."""
 _LEVELS = {"INFO": 20, "WARN": 30, "ERROR": 40, "CRITICAL": 50}
-"""rcl_interfaces/msg/Log."""
+"""Levels of rcl_interfaces/msg/Log."""
 _FIX, _NO_FIX = 0, -1
-"""sensor_msgs/msg/NavSatStatus."""
+"""Values of `status` in sensor_msgs/msg/NavSatStatus."""
 Message = tuple[str, str, float, Any]
 """Topic, type, time on the run's time line (s), message."""
 
