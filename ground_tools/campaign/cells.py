@@ -71,8 +71,8 @@ SCENARIOS = ("ground_tools.campaign.scenarios.layouts", "ground_tools.campaign.s
 FILES = "ground_tools.campaign.scenarios.files"
 """Module that makes flights from files of other projects."""
 MISSION_MPS2 = 5.0
-"""Limit of the change of command (m/s^2) of an intruder on a mission: as high as the vehicle model allows, so
-that the intruder stays close to its path."""
+"""Limit of the change of command (m/s^2) of an intruder on a mission. It exceeds the vehicle's own limit, so
+that the intruder turns as sharply as it can and stays close to its path."""
 _RESERVE = 0.6
 """Ratio of planned to greatest speed in encounters in which each aircraft has its own limits."""
 SEPARATION_M = 2.0 * AvoidanceConfig().conflict_radius_m
