@@ -41,7 +41,9 @@ _START_UP: Final = re.compile(
 which such messages have the number of today's ALERT."""
 _STATES_SAID: Final = re.compile(r"DMUCA (" + "|".join(state.value for state in State) + "): ")
 """Texts with which the companion reports changes of authority. These changes have separate rows."""
-_MEANING: Final = {Flag.REMOTE_ID_FAILURE.value: "; a companion says so while it has no position to send"}
+_MEANING: Final = {
+    Flag.REMOTE_ID_FAILURE.value: "; a companion reports this while it has no position to send"
+}
 """Possible cause of a flag, appended to its text."""
 
 

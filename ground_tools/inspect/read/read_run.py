@@ -172,8 +172,8 @@ def _other_runs(folder: Path) -> str:
     newest = sorted(inside, key=lambda path: path.name, reverse=True)
     named = ", ".join(str(path) for path in newest[:_MOST_NAMED])
     if len(inside) == 1:
-        return f"{nothing}, but one run; name it: {named}"
-    return f"{nothing}, but {len(inside)} runs; name one of them; the newest: {named}"
+        return f"{nothing}, but it contains a run; give its path: {named}"
+    return f"{nothing}, but it contains {len(inside)} runs; give the path of one; the newest: {named}"
 
 
 def _file(path: Path) -> Run:

@@ -156,7 +156,7 @@ def _teller(works: list[Work], words: Console) -> Callable[[Work], None]:
             return
         state["told"] = now_s
         left_s = (now_s - began_s) * (whole_s - state["cost"]) / state["cost"]
-        words.print(f"{state['done']} of {len(works)} runs, some {_minutes(left_s)} left", highlight=False)
+        words.print(f"{state['done']} of {len(works)} runs, about {_minutes(left_s)} left", highlight=False)
 
     return tell
 

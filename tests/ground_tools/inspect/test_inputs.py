@@ -264,7 +264,7 @@ def test_a_folder_of_runs_names_the_newest(run_folder: Path, tmp_path: Path) -> 
     with pytest.raises(ConfigError) as refused:
         read_run(runs)
     words = str(refused.value)
-    assert "but 7 runs; name one of them; the newest: " in words
+    assert "but it contains 7 runs; give the path of one; the newest: " in words
     named = words.partition("the newest: ")[2].split(", ")
     assert named[0] == str(runs / "20260107T000000Z-demo")
     assert named == sorted(named, reverse=True)

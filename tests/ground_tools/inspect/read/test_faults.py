@@ -95,7 +95,7 @@ def test_a_doubt_that_is_withdrawn_is_one_row_with_its_end_and_meaning(tmp_path)
     )
     (row,) = bad
     assert (row["time_s"], row["until_s"]) == (1.0, 2.0)
-    assert row["text"] == f"{words}; a companion says so while it has no position to send"
+    assert row["text"] == f"{words}; a companion reports this while it has no position to send"
 
 
 @pytest.mark.parametrize("withdrawn", [True, False])

@@ -153,7 +153,7 @@ def test_missing_and_duplicate_aircraft_of_a_swarm_are_reported(
 def test_the_folder_of_all_runs_is_no_run(run_folder: Path) -> None:
     with pytest.raises(ConfigError, match="no event record") as refused:
         read_run(run_folder.parent)
-    assert str(refused.value).endswith(f"but one run; name it: {run_folder}")
+    assert str(refused.value).endswith(f"but it contains a run; give its path: {run_folder}")
 
 
 def test_figures_agree_with_the_verdict_of_the_demo(tmp_path: Path) -> None:
