@@ -75,7 +75,7 @@ class Fleet(NamedTuple):
 
 
 def on_the_ground(fleet: int, world: Conditions) -> Fleet:
-    """A fleet whose arrays are still zero and that has no message under way."""
+    """A fleet whose arrays are still zero and that has no message in transit."""
     slots = int(world.delay_high_s / (world.message * world.step_s)) + 2
     return Fleet(
         position=np.zeros((fleet, 3)),

@@ -59,7 +59,7 @@ def changes(old: Provenance, new: Provenance) -> list[str]:
 
 
 def beside(path: Path) -> Path:
-    """The record of a file."""
+    """Path of the provenance record of a file."""
     return path.with_name(path.name + ".made.json")
 
 

@@ -58,7 +58,7 @@ class MaddpgSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     learn_every: Count = 20
     """Steps from one update to the next; the original uses 100 steps."""
     discount: Share = 0.0
-    """0 because positions are drawn anew at every step: what follows depends on an action only through the
+    """0 because positions are redrawn at every step: later rewards depend on an action only through the
     previous actions that are observed."""
     actor_rate: Rate = 3e-4
     critic_rate: Rate = 1e-3

@@ -2,7 +2,7 @@
 
 A file describes a dynamic Bayesian network of one aircraft in two parts. The initial network draws the region
 G, airspace class A, altitude layer L, airspeed v, acceleration, vertical rate and turn rate; the transition
-network draws the last three anew every second. Each part has its labels, its graph (row = parent), the number
+network redraws the last three every second. Each part has its labels, its graph (row = parent), the number
 of bins of each variable, and the counts with which they were observed. The format is that of `em_read.m` in
 that repository (MIT Lincoln Laboratory, BSD 2-Clause; project report ATC-345).
 """

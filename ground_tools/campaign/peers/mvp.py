@@ -30,9 +30,9 @@ _TINY: Final = 1e-6
 _EVERY_S: Final = 1.0
 """Time between two resolutions; BlueSky's default."""
 _BOUNCING_RAD: Final = math.radians(30.0)
-# What an aircraft remembers of its own in `Mind.notes`, after an entry of each other aircraft (1: it is in
-# conflict with this one, or has not passed it yet): 1 after the first resolution, the time of the last one, 1
-# if it flies a resolution, and the velocity of that.
+# Entries that an aircraft keeps about itself in `Mind.notes`, after an entry of each other aircraft (1: it is
+# in conflict with this one, or has not passed it yet): 1 after the first resolution, the time of the last
+# one, 1 if it flies a resolution, and the velocity of that.
 _BEGUN, _TIME, _ACTIVE, _VELOCITY = 0, 1, 2, 3
 
 

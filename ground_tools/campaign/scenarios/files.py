@@ -50,7 +50,7 @@ _LONGEST_S: Final = 900.0
 _ORDER: Final = 200
 """First number in the seeds of the random draws of these flights."""
 _JITTER_M: Final = 1.0
-"""Largest offset of a path from its exact place, along each axis, drawn anew for every seed."""
+"""Largest offset of a path from its exact place, along each axis, redrawn for every seed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,7 +41,8 @@ _FENCE = frozenset({"fence", "outside the fence"})
 _HOLDING = frozenset(state.value for state in HOLDING)
 _LEAST_TURN_DEG, _LEAST_CHANGE_MPS, _LEAST_LEVEL_MPS = 3.0, 0.2, 0.3
 _TOO_FAST_MPS = 1.0
-"""If a guarded vehicle was faster than the wanted speed by this or more at the start, the text says so."""
+"""If a guarded vehicle was faster than the wanted speed by this or more at the start, the text mentions
+it."""
 _MOST_NAMED = 3
 
 

@@ -40,7 +40,7 @@ def write(run: Run, ways: Flown, pairs: list[Separation], path: Path) -> int:
     except ImportError as error:
         raise ConfigError(how_to_install("rosbags", "inspect")) from error
     if path.exists():
-        raise ConfigError(f"{path}: it exists already; a ROS bag is a folder that is made anew")
+        raise ConfigError(f"{path}: it exists already; give the path of a new folder")
     store = get_typestore(Stores.ROS2_HUMBLE)
     zero_ns, count = topics.zero_ns(run, ways), 0
     try:

@@ -1,8 +1,8 @@
 """A run as messages with times and topics, for robotics tools: the content of MCAP files and ROS bags.
 
 Positions are given twice: on Earth, and in a local frame with x to the east, y to the north and z up, whose
-origin is that of the run. Heights on Earth are above the WGS84 ellipsoid if the aircraft's GNSS receiver told
-how far that is from mean sea level, otherwise above mean sea level. The orientation is the course over
+origin is that of the run. Heights on Earth are above the WGS84 ellipsoid if the aircraft's GNSS receiver
+reported its distance from mean sea level, otherwise above mean sea level. The orientation is the course over
 ground, because a record has no attitude.
 """
 

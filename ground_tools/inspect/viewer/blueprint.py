@@ -51,7 +51,7 @@ def blueprint(
         scene: The run.
         pairs: Pairs whose separation is shown.
         look: Where the view in space looks; None for rerun's own choice.
-        live: Follow the newest time of a run that goes on.
+        live: Follow the newest time of a run that is still in progress.
         placed: True if the position of any aircraft is known.
     """
     import rerun.blueprint as rrb

@@ -86,7 +86,7 @@ class WebViewer:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            # A session of its own: Ctrl-C must not end the viewer before the stream that sends to it.
+            # A separate session: Ctrl-C must not end the viewer before the stream that sends to it.
             start_new_session=True,
             preexec_fn=_end_with(os.getpid()),
             # Rerun's process also reports each page view to the vendor, unless this variable is set.

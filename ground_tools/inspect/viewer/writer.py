@@ -1,8 +1,8 @@
 """Writes a run into a Rerun recording piece by piece, in columns (`send_columns`).
 
 A `Writer` is given a `Scene`, and then steps of aircraft, flown paths and distances. It works for a finished
-record as well as for a flight that goes on, and needs memory for one piece only. The frame is drawn as x
-east, y north, z up (m). rerun is imported on use, because its import takes seconds and it is an optional
+record as well as for a flight in progress, and needs memory for one piece only. The frame is drawn as x east,
+y north, z up (m). rerun is imported on use, because its import takes seconds and it is an optional
 dependency.
 
 There are two time lines: `time` is that of the run, and `encounter` contains what a viewer shows first,

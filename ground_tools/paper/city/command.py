@@ -40,10 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add, grid = parser.add_argument, Grid()
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.description = (
-        "Fly cities of rising density, with every method of knowing of others, without and with foreign\n"
+        "Fly cities of rising density, with every way to learn of other aircraft, without and with foreign\n"
         "load, and show losses of separation, conflicts, deviation, ages and channel load with intervals of\n"
-        "95 % over seeds; then say at which density each method stops keeping the target. The expected CPU\n"
-        "time is printed first. Finished runs are kept in --out, so that the same command continues."
+        "95 % over seeds; then state at which density each method stops keeping the target. The expected\n"
+        "CPU time is printed first. Finished runs are kept in --out, so that the same command continues."
     )
     parser.epilog = f"example: {EXAMPLE}\n\nmethods:\n" + "\n".join(
         f"  {k:8s} {m.words}" for k, m in METHODS.items()

@@ -143,7 +143,7 @@ def _judged(
 def sentences(found: Sequence[Verdict]) -> list[str]:
     """The verdicts as text, below lines that state the targets."""
     if not found:
-        return ["No verdict: it needs a method beside perfect information or nobody avoiding (--methods)."]
+        return ["No verdict: --methods needs a method to judge and a reference (perfect or none)."]
     lines = []
     for name, load in dict.fromkeys((one.target, one.load) for one in found):
         air = f"foreign load {load:g}" if load else "no foreign load"

@@ -52,5 +52,5 @@ def test_the_task_of_the_policy_that_flies_has_one_reward_for_all(recwarn):
 
 
 def test_an_objective_has_its_own_actions():
-    with pytest.raises(ValueError, match="give none beside it"):
+    with pytest.raises(ValueError, match="leave out both arguments"):
         AtmcParallelEnv(actions=PAPER_ACTIONS, objective=awareness_objective())

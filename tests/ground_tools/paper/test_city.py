@@ -162,7 +162,7 @@ def test_sentences_state_the_target_and_need_a_reference():
     assert "at most 0.1 times the losses of separation per flight hour of: nobody avoids" in text
     alone = {Cell(0.0, 10.0, "policy"): three(1)}
     assert verdicts(alone) == []
-    assert "it needs" in sentences([])[0]
+    assert "a method to judge and a reference" in sentences([])[0]
 
 
 # ---------------------------------------------------------------- tables and picture
