@@ -1,1 +1,2 @@
-"""Measured figures, printed as tables, with their targets; `measuring.figures` says how."""
+"""Benchmarks, which print measured figures as tables beside their targets. `measuring.figures` explains the
+method."""

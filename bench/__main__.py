@@ -1,7 +1,7 @@
-"""`python -m bench [NAME ...]`: the figures of the named benches, or of all, one table after the other.
+"""`python -m bench [NAME ...]`: runs the named benchmarks, or all, and prints a table for each.
 
-Each bench runs in a process of its own, so that neither the modules nor the memory of one weigh on the next.
-Lines that begin with "target" show a figure beside what is asked of it.
+Each benchmark runs in a separate process, so that its modules and memory do not affect the next one. Lines
+that begin with "target" show a figure beside its target.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ NAMES = (
 
 
 def main() -> int:
-    """Run the benches. Returns 1 if one of them failed, else 0."""
+    """Run the benchmarks. Returns 1 if one of them failed, else 0."""
     parser = argparse.ArgumentParser(
         prog="python -m bench", description="Runs benchmarks and prints their figures as tables."
     )

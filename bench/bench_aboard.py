@@ -1,9 +1,9 @@
-"""What `companion run` takes of a computer: memory, processor, start, and how late its ticks come.
+"""Resources that `companion run` uses: memory, processor time, start-up time, lateness of ticks.
 
-The real process, flying the mock vehicle at 20 Hz on loopback, with 20 aircraft heard once a second on a ring
-of 150 m. It is ready when it commands its first setpoint; the kernels were compiled before. Beside it the
-same with every core busy with something else, at normal priority and, where this process may ask for it, in
-real time.
+The real process flies the mock vehicle at 20 Hz over loopback and hears 20 aircraft once a second, on a ring
+of 150 m. It counts as ready when it commands its first setpoint; the kernels were compiled before. The
+measurement is repeated with every core busy, at normal priority and, if this process may use it, with
+real-time scheduling.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SETTLE_S = 3.0
 PATIENCE_S = 120.0
 PRIORITY = 20
 MOST_MB, MOST_CORE, MOST_READY_S = 150.0, 10.0, 5.0
-"""Targets of the flight beside which nothing else runs: resident memory, percent of one core, start."""
+"""Targets of the flight on an otherwise idle computer: resident memory, share of one core, start-up time."""
 
 _PATH = f"""altitude = "home"
 waypoint = [
@@ -61,7 +61,7 @@ address = "127.0.0.1:{air}"
 
 
 class Air:
-    """Stands in for the simulated air: aircraft that are heard once a second by whoever joined."""
+    """Replaces the simulated air: every client that joins hears each aircraft once a second."""
 
     def __init__(self, neighbours: int = NEIGHBOURS) -> None:
         self._neighbours = neighbours
@@ -102,7 +102,7 @@ class Air:
             number = (number + 1) % self._neighbours
 
     def close(self) -> None:
-        """End it."""
+        """Stop the thread and close the socket."""
         self._ended.set()
         self._thread.join()
         self._socket.close()
@@ -110,7 +110,7 @@ class Air:
 
 @contextmanager
 def process(log: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
-    """`python -m ARGUMENTS` with its output in a file, and its status socket beside that file."""
+    """Run `python -m ARGUMENTS` with its output in a file and its status socket beside that file."""
     environment = os.environ | {"RUNTIME_DIRECTORY": str(log.parent)}
     command = [sys.executable, "-u", "-m", *arguments]
     with log.open("wb") as out:
@@ -124,10 +124,10 @@ def process(log: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def wait_for(log: Path, pattern: str) -> re.Match[str]:
-    """Wait until the output matches.
+    """Wait until the output in a log file matches a pattern.
 
     Raises:
-        RuntimeError: it never did.
+        RuntimeError: it did not match within `PATIENCE_S`.
     """
     end = time.monotonic() + PATIENCE_S
     while time.monotonic() < end:
@@ -138,18 +138,18 @@ def wait_for(log: Path, pattern: str) -> re.Match[str]:
 
 
 def processor_s(pid: int) -> float:
-    """Processor time that a process has taken, by /proc/PID/stat."""
+    """Processor time (s) that a process has used, from /proc/PID/stat."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextmanager
 def flight(folder: Path, neighbours: int) -> Iterator[tuple[int, float]]:
-    """`companion run` while it flies the mock vehicle, from its first setpoint on.
+    """Run `companion run` with the mock vehicle; yields at its first setpoint.
 
     Args:
         folder: holds the logs, the status socket, and the records in the folder `runs`.
-        neighbours: how many aircraft are heard once a second.
+        neighbours: number of aircraft that are heard once a second.
 
     Yields:
         The process's id, and the seconds from its start to its first setpoint.
@@ -172,7 +172,7 @@ def flight(folder: Path, neighbours: int) -> Iterator[tuple[int, float]]:
 
 
 def fly(folder: Path) -> dict[str, float]:
-    """One flight; the figures of it."""
+    """Measure one flight. Returns its figures."""
     with flight(folder, NEIGHBOURS) as (pid, ready_s):
         began_s = time.monotonic()
         time.sleep(SETTLE_S)
@@ -196,7 +196,7 @@ def fly(folder: Path) -> dict[str, float]:
 
 @contextmanager
 def busy(count: int) -> Iterator[None]:
-    """As many processes that do nothing but count."""
+    """Run the given number of processes that each keep one core busy."""
     spin = [sys.executable, "-c", "while True: pass"]
     children = [subprocess.Popen(spin) for _ in range(count)]
     try:
@@ -209,7 +209,8 @@ def busy(count: int) -> Iterator[None]:
 
 @contextmanager
 def real_time() -> Iterator[bool]:
-    """What is started meanwhile runs in real time, as the service does; False where that is not allowed."""
+    """Start processes with real-time scheduling inside this context, as the service does. Yields False if
+    this is not allowed."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except PermissionError:

@@ -1,4 +1,4 @@
-"""ATMC: decisions a second in training and what they go to; one decision aboard."""
+"""ATMC: decisions per second in training, share of time in updates, time of one decision aboard."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def main() -> None:
 
 
 def _learners() -> None:
-    """Of the paper's algorithms: an episode is 100 steps of ten aircraft, and learning begins in the 251st
-    where there is a buffer to fill."""
+    """Measure the paper's algorithms. An episode is 100 steps of ten aircraft. Algorithms with a replay
+    buffer begin to learn in episode 251."""
     import torch
 
     from ground_tools.atmc.learners.algorithms import ALGORITHMS
@@ -60,7 +60,7 @@ def _learners() -> None:
         fills = learner.replay is not None
         filling = _median(learner.train, _EPISODES) if fills else 0.0
         if fills:
-            # As if 250 episodes had passed: what is in the buffer does not matter to the time.
+            # Pretend that 250 episodes have passed. The content of the buffer does not affect the time.
             learner.replay.added = parts.settings.buffer_steps
         learning = _median(learner.train, _EPISODES)
         minutes = (250 * filling + 750 * learning if fills else 1000 * learning) / 60.0
@@ -126,7 +126,7 @@ def _aboard() -> None:
 def _median(call: Callable[[], object], turns: int = _TURNS) -> float:
     times = []
     for _ in range(turns):
-        # Of the processor: other work beside this one counts less.
+        # Processor time, because it depends less on other processes than elapsed time does.
         began = time.process_time()
         call()
         times.append(time.process_time() - began)

@@ -1,10 +1,11 @@
-"""What a decision costs: `python bench/bench_avoidance.py` prints four tables.
+"""Time of an avoidance decision, of its kernels, of a crowd's step, and of a campaign's flights.
 
-The first is one aircraft's decision from Python: all of it (table of neighbours, kernel, report of every
-track), and the call of the kernel alone. The second is half-spaces and programs in a compiled loop, beside
-RVO2-3D in C++ (-O3, float32, one thread); those figures were measured elsewhere, on another machine, and are
-quoted. The third is one step of a crowd, search for neighbours and all, beside the same reference. The fourth
-is a campaign's flights: simulated seconds a second, on one core.
+`python bench/bench_avoidance.py` prints four tables. The first shows one aircraft's decision from Python: the
+whole decision (table of neighbours, kernel, report on every track), and the call of the kernel alone. The
+second shows half-spaces and linear programs in a compiled loop, beside RVO2-3D in C++ (-O3, float32, one
+thread); the reference figures were measured on another machine and are quoted. The third shows one step of a
+crowd, including the search for neighbours, beside the same reference. The fourth shows a campaign's flights:
+simulated seconds per second, on one core.
 """
 
 from __future__ import annotations
@@ -26,29 +27,33 @@ from ground_tools.campaign.crowd import Crowd
 
 COUNTS = (1, 5, 10, 20, 50, 100)
 DECIDE_SCENES, ROUNDS, DECISIONS = 11, 40, 10
-"""Scenes of `decide()`, rounds in each of which the quickest counts, and decisions in a round."""
+"""For `decide()`: number of scenes, rounds per scene (the fastest one counts), and decisions per round."""
 MOST_US = {20: 25.0}
-"""Target of `decide()`, by number of neighbours."""
+"""Target of the CPU time of `decide()`, by number of neighbours."""
 FLIGHTS, FLIGHT_ROUNDS = {5: 20, 10: 10, 20: 5}, 10
-"""Flights of a campaign, by number of aircraft, and how often each is flown; the quickest counts."""
+"""Flights of a campaign, by number of aircraft, and how often each is repeated; the fastest repetition
+counts."""
 LEAST_RATE = {5: 45_000.0, 20: 3_500.0}
-"""Target of a campaign, simulated seconds a second, by number of aircraft."""
+"""Target of a campaign, in simulated seconds per second, by number of aircraft."""
 REFERENCE_US = {
     "sparse": {1: 0.085, 5: 0.36, 10: 0.69, 20: 1.4, 50: 3.4, 100: 10.5},
     "dense": {10: 1.3, 20: 1.9, 50: 7.0, 100: 9.6},
 }
 REFERENCE_STEP_MS = {1_000: 3.5, 10_000: 55.0}
-"""Minima."""
+"""Published least time of a step, by number of aircraft."""
 ROOM_M3 = 1_000.0
-"""Of each aircraft of a crowd: nearly all have more neighbours within reach than are taken."""
+"""Volume per aircraft of a crowd: so small that nearly all have more neighbours in reach than are
+considered."""
 STEPS = 60
 SPREAD_M = {"sparse": 300.0, "dense": 60.0}
 SCENES, PLANES = 200, 10_000
-"""Scenes, and planes built in one timed call: so many that the call from Python (2 us) does not count."""
+"""Number of scenes, and planes built in one timed call: so many that the call from Python (2 us) is
+negligible."""
 
 
 def scene(count: int, spread_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Relative positions (m) and velocities (m/s) of neighbours, shape (count, 3) each; none overlaps."""
+    """Relative positions (m) and velocities (m/s) of neighbours that do not overlap, shape (count, 3)
+    each."""
     direction = rng.normal(size=(count, 3)) * [1.0, 1.0, 0.3]
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     distance = rng.uniform(12.0, spread_m, (count, 1))
@@ -56,8 +61,8 @@ def scene(count: int, spread_m: float, rng: np.random.Generator) -> tuple[np.nda
 
 
 def time_decide(count: int, rng: np.random.Generator) -> tuple[float, float, float]:
-    """Of `decide()`: CPU time (median of the scenes, us), and the 99th percentile of the time that passed
-    (us); and the CPU time of its kernel's call alone (us)."""
+    """Times of `decide()` (us): CPU time (median of the scenes), 99th percentile of the elapsed time, and CPU
+    time of the kernel call alone."""
     path = Trajectory([0.0, 1000.0], [(0.0, 0.0, -50.0), (2000.0, 0.0, -50.0)])
     took, passed = [], []
     for _ in range(DECIDE_SCENES):
@@ -94,7 +99,7 @@ def time_decide(count: int, rng: np.random.Generator) -> tuple[float, float, flo
 
 
 def time_flights(aircraft: int, flights: int) -> float:
-    """Simulated seconds a second of processor time."""
+    """Simulated seconds per second of processor time."""
     cell = Cell(generator="S2", aircraft=aircraft, delay_s=(1.0, 2.0))
     campaign.fly(cell, [0])
     seeds = range(1, flights + 1)
@@ -111,11 +116,12 @@ def _repeat(
     out: np.ndarray,
     repeats: int,
 ) -> float:
-    """Plain ORCA for one aircraft that flies and wishes for 2 m/s north, `repeats` times."""
+    """Compute plain ORCA `repeats` times, for one aircraft that flies north at 2 m/s and wants to
+    continue."""
     total = 0.0
     count = positions.shape[0]
     for repeat in range(repeats):
-        own = kernels.Vector(2.0 + 1e-9 * repeat, 0.0, 0.0)  # so that nothing is taken out of the loop
+        own = kernels.Vector(2.0 + 1e-9 * repeat, 0.0, 0.0)  # prevents hoisting out of the loop
         for j in range(count):
             p = kernels.Vector(positions[j, 0], positions[j, 1], positions[j, 2])
             v = kernels.minus(own, kernels.Vector(velocities[j, 0], velocities[j, 1], velocities[j, 2]))
@@ -128,7 +134,8 @@ def _repeat(
 
 
 def time_kernel(count: int, spread_m: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Median (us) over scenes of planes and programs, and the share of scenes without a solution."""
+    """Median time (us), over scenes, of the planes and linear programs of one aircraft; and the share of
+    infeasible scenes."""
     planes, scratch = np.zeros((count, 4)), np.zeros((count, 4))
     out, took, infeasible = np.zeros(3), [], 0
     repeats = PLANES // count
@@ -143,10 +150,11 @@ def time_kernel(count: int, spread_m: float, rng: np.random.Generator) -> tuple[
 
 
 def time_crowd(aircraft: int, rng: np.random.Generator) -> tuple[float, float]:
-    """Least and median (ms) of the steps of a crowd that flies through the middle of a cube.
+    """Least and median time (ms) of a step of a crowd that flies through the middle of a cube.
 
-    With the parameters of RVO2-3D's own example: radius 1.5 m each, up to 2 m/s, horizon 10 s, steps of
-    0.125 s, the 10 first neighbours within 15 m; 1 m/s is wished for, to the opposite point.
+    The parameters are those of RVO2-3D's example: a radius of 1.5 m each, up to 2 m/s, a horizon of 10 s,
+    steps of 0.125 s, and the 10 most urgent neighbours within 15 m. The preferred velocity is 1 m/s towards
+    the opposite point.
     """
     position = (rng.random((aircraft, 3)) - 0.5) * (aircraft * ROOM_M3) ** (1 / 3)
     goal, velocity, new, took = -position, np.zeros((aircraft, 3)), np.zeros((aircraft, 3)), []

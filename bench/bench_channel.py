@@ -1,6 +1,6 @@
-"""The radio channel: the equations per link, packet by packet against real time, and growth with the fleet.
+"""The radio channel: time of the equations, speed of the packet simulation, growth with the fleet.
 
-The cost should be near linear in the number of links.
+The cost should grow nearly linearly with the number of links.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ REPEATS = 7
 SECONDS = 100.0
 FLEETS = (10, 30, 100, 300, 1000, 3000, 10_000)
 DENSITIES = (1.0, 10.0)
-"""Aircraft in a square kilometre."""
+"""Aircraft per square kilometre."""
 MOST_MS, LEAST_TIMES = 50.0, 100.0
-"""Targets: system delay of 10 aircraft in 1,000 environments; packets of 10 aircraft, times real time."""
+"""Targets: time to compute the system delay of 10 aircraft in 1,000 environments; speed of the packet
+simulation of 10 aircraft, in multiples of real time."""
 BEST_RATES = {"ble4": 9, "ble5": 10, "wifi": 10}
 
 
 def cpu_s(work: Callable[[], object], repeats: int) -> float:
-    """Median CPU time of some runs."""
+    """Median CPU time (s) of a function, over some calls."""
     took = []
     for _ in range(repeats):
         began = time.process_time()
@@ -40,14 +41,14 @@ def cpu_s(work: Callable[[], object], repeats: int) -> float:
 
 
 def mixed(nodes: int, rng: np.random.Generator) -> Fleet:
-    """Every aircraft on a mode, a rate and a Wi-Fi channel of its own."""
+    """A random mode, rate and Wi-Fi channel for every aircraft."""
     rates = np.zeros((nodes, len(MODES)), np.intp)
     rates[np.arange(nodes), rng.integers(len(MODES), size=nodes)] = rng.integers(1, 11, size=nodes)
     return Fleet(rates, rng.integers(3, size=nodes).astype(np.intp))
 
 
 def environments(parameters: ChannelParameters, rng: np.random.Generator) -> None:
-    """10 aircraft, 1,000 environments at once, from positions to system delays."""
+    """Time the equations for 10 aircraft in 1,000 environments at once, from positions to system delays."""
     model = Analytic(parameters)
     print(f"equations, 10 aircraft x 1,000 environments\n{'side (m)':>10}{'ms':>8}{'million links/s':>18}")
     slowest = 0.0
@@ -66,7 +67,7 @@ def environments(parameters: ChannelParameters, rng: np.random.Generator) -> Non
 
 
 def packets(parameters: ChannelParameters, rng: np.random.Generator) -> None:
-    """10 aircraft near each other, one core."""
+    """Time the packet simulation of 10 aircraft near each other, on one core."""
     print("\npacket simulation, 10 aircraft, one core")
     print(f"{'mode':>10}{'assumptions':>16}{'times real time':>18}")
     near, slowest = np.zeros((10, 10)), float("inf")
@@ -83,7 +84,7 @@ def packets(parameters: ChannelParameters, rng: np.random.Generator) -> None:
 
 
 def growth(parameters: ChannelParameters, rng: np.random.Generator) -> None:
-    """One environment, neighbours found by range, from positions to delays."""
+    """Time one environment in which neighbours are found by range, from positions to delays."""
     model = Analytic(parameters)
     for density in DENSITIES:
         print(f"\nequations, {density:g} aircraft/km2, only neighbours in range")

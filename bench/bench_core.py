@@ -1,7 +1,7 @@
-"""What one step of the core costs, with 20 neighbours heard once a second.
+"""CPU time of one step of the core, with 20 neighbours heard once a second.
 
-The step that decides (five a second) and the one that only commands are timed apart. CPU time; the
-same flight is flown several times, and the least time of each step counts.
+Steps with a decision (five a second) and steps that only repeat the command are timed separately. The same
+flight is flown several times, and the least CPU time of each step counts.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ NEIGHBOURS = 20
 SECONDS = 60
 FLIGHTS = 10
 MOST_MS = 0.2
-"""Target of the deciding step's median."""
+"""Target of the median step with a decision."""
 
 
 def own_events(now_s: float, *, slow: bool) -> list[Event]:
-    """What the autopilot says: position ten times a second, the rest once."""
+    """Events from the autopilot: its position ten times a second, everything else once."""
     lat, lon, _ = FRAME.to_geodetic(3.0 * now_s, 0.0, 0.0)
     events: list[Event] = [
         GlobalPosition(
@@ -76,7 +76,7 @@ def own_events(now_s: float, *, slow: bool) -> list[Event]:
 
 
 def heard(number: int, now_s: float, neighbours: int = NEIGHBOURS) -> RemoteIdHeard:
-    """A neighbour on a ring of 150 m around the aircraft, flying at its future place."""
+    """A neighbour on a ring of 150 m around the aircraft that flies towards the middle of the ring."""
     angle = 2.0 * math.pi * number / neighbours
     lat, lon, _ = FRAME.to_geodetic(3.0 * now_s + 150.0 * math.cos(angle), 150.0 * math.sin(angle), 0.0)
     return RemoteIdHeard(

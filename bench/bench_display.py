@@ -1,10 +1,10 @@
-"""What `companion display` costs the flight, and itself, with 50 aircraft heard once a second.
+"""CPU time that `companion display` adds to the flight and uses itself, with 50 aircraft heard once a second.
 
 The real processes on loopback: `companion run` flies the mock vehicle at 20 Hz, and `companion display`
-serves its page. The ways of looking take turns within one flight, so that other work on the machine weighs on
-each of them alike. CPU time of each process by /proc/PID/stat, in percent of one core. A browser is Chromium
-where there is one, and otherwise a client that asks as the page does; its own time is not counted, because it
-runs on another device.
+serves its page. The kinds of clients take turns within one flight, so that other work on the machine affects
+all alike. CPU time of each process is read from /proc/PID/stat, in percent of one core. A browser is Chromium
+if it is installed, and otherwise a client that makes the page's requests. The browser's own time is not
+counted, because it runs on another device.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ from tests.browser import chromium
 TRACKS = 50
 ROUNDS = 5
 SECONDS = 12.0
-"""How long each way of looking lasts in each round."""
+"""Duration of each kind of client in each round."""
 MANY = 16
-"""Browsers at once; the display answers no more at a time."""
+"""Number of browsers at once; the display serves no more at a time."""
 MOST_CORE = 5.0
-"""Target of what the display and one browser add to the flight and to the display's own process."""
+"""Target of the CPU time that the display and one browser add, in the flight and the display process
+together."""
 _PERIOD_S = 1.0
 """The page asks for the state this long after the last answer."""
 _PATIENCE_S = 30.0
@@ -40,10 +41,10 @@ _PATIENCE_S = 30.0
 
 @contextlib.contextmanager
 def clients(url: str, count: int = 1) -> Iterator[None]:
-    """Clients that ask for the state as the page does.
+    """Run clients that request the state as the page does.
 
     Raises:
-        RuntimeError: one of them was not answered.
+        RuntimeError: a request was not answered.
     """
     ended, failed = threading.Event(), []
 
@@ -70,10 +71,10 @@ def clients(url: str, count: int = 1) -> Iterator[None]:
 
 @contextlib.contextmanager
 def browser(url: str) -> Iterator[None]:
-    """Chromium with the page open.
+    """Run Chromium with the page open.
 
     Raises:
-        RuntimeError: it does not draw all aircraft.
+        RuntimeError: the page does not draw all aircraft.
     """
     with chromium.opened(1200, 800) as opened:
         opened.page.goto(url)
@@ -86,7 +87,8 @@ def browser(url: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def stopped(url: str) -> Iterator[None]:
-    """Browsers that stopped in the middle of a request, and are replaced as the display gives them up."""
+    """Run clients that stop in the middle of a request. Each is replaced when the display closes its
+    connection."""
     port = int(url.rstrip("/").rpartition(":")[2])
     ended = threading.Event()
 
@@ -113,7 +115,7 @@ def stopped(url: str) -> Iterator[None]:
 
 
 class Shares:
-    """Shares of one core that two processes take, by the way of looking."""
+    """Shares of one core that the flight and the display use, by the kind of clients."""
 
     def __init__(self, flight_pid: int, status: Path) -> None:
         self._flight_pid = flight_pid
@@ -123,7 +125,7 @@ class Shares:
         self.late: dict[str, int] = {}
 
     def measure(self, name: str, display_pid: int | None = None) -> None:
-        """Measure for `SECONDS`, after a second in which the new way of looking settles."""
+        """Measure for `SECONDS`, after a second in which the new clients settle."""
         time.sleep(1.0)
         pids = [self._flight_pid] + ([] if display_pid is None else [display_pid])
         late = ask(self._status).late_ticks
@@ -146,7 +148,7 @@ WAYS: dict[str, Callable[[str], AbstractContextManager[None]]] = {
 
 
 def measured(folder: Path) -> Shares:
-    """Fly, and look in each way.
+    """Measure one flight with each kind of client in turn.
 
     Raises:
         RuntimeError: the flight does not hold `TRACKS` tracks.

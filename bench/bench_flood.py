@@ -1,8 +1,8 @@
-"""What a step of the core costs in a flood of 5,000 Remote ID frames a second, and what is heard in it.
+"""CPU time of a step, and reception of honest frames, in a flood of 5,000 Remote ID frames a second.
 
-The own aircraft holds 64 established tracks. One of them, the honest one, is in conflict and sends five
-frames a second; at least 95 % of them must be heard. The frames of the flood are decoded from bytes, as the
-radios do. CPU time; each flood is flown several times, and the least time of each step counts.
+The own aircraft holds 64 established tracks. One of these aircraft, the honest one, is in conflict and sends
+five frames a second; at least 95 % of its frames must be heard. The frames of the flood are decoded from
+bytes, as in the radios. Each flood is flown several times, and the least CPU time of each step counts.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from companion.remote_id.transports import BLE4, WIFI_BEACON
 
 STEPS_A_SECOND = 20
 RATE = 5000
-"""Frames of the flood a second."""
+"""Frames of the flood per second."""
 QUIET_S, FLOOD_S, FLIGHTS = 4, 6, 3
 ESTABLISHED = 64
 MOST_MS, LEAST_HEARD, MOST_MB = 20.0, 95.0, 10.0
-"""Targets of the slowest step, the share of honest frames heard, and the growth of memory in three floods."""
+"""Targets: time of the slowest step, share of honest frames heard, and growth of memory in three floods."""
 OWN_MPS = 3.0
 
 Raw = tuple[str, str, bytes]
@@ -61,19 +61,19 @@ def named(uas_id: str) -> BasicId:
 
 
 def honest_at(now_s: float) -> tuple[Vec3, Vec3]:
-    """The honest aircraft: it comes from ahead and is in conflict throughout."""
+    """State of the honest aircraft, which comes from ahead and is in conflict throughout."""
     return (OWN_MPS * now_s + 230.0 - 10.0 * now_s, 4.0, 0.0), (OWN_MPS - 10.0, 0.0, 0.0)
 
 
 def beside(number: int, now_s: float) -> tuple[Vec3, Vec3]:
-    """A place of a flood that is in conflict with nobody: it flies along, ever nearer."""
+    """State of a flooding sender without conflict: it flies along with us, each one nearer than the last."""
     away, turn = 900.0 - 0.02 * (number % 40_000), 2.399963 * number
     place = OWN_MPS * now_s + away * math.cos(turn), away * math.sin(turn), 0.0
     return place, (OWN_MPS, 0.0, 0.0)
 
 
 def closing(number: int, now_s: float) -> tuple[Vec3, Vec3]:
-    """A place of a flood that is in conflict: it flies towards us, ever sooner."""
+    """State of a flooding sender in conflict: it flies towards us, each one from nearer than the last."""
     away, turn = 300.0 - 0.006 * (number % 40_000), 2.399963 * number
     place = OWN_MPS * now_s + away * math.cos(turn), away * math.sin(turn), 0.0
     return place, (OWN_MPS - 12.0 * math.cos(turn), -12.0 * math.sin(turn), 0.0)
@@ -84,7 +84,8 @@ class Flood:
     """One kind of flood.
 
     Args:
-        names, addresses: how many identities and radio addresses take turns; 0: a new one for each frame.
+        names, addresses: number of identities and radio addresses that take turns; 0: a new one for each
+            frame.
     """
 
     text: str
@@ -92,11 +93,11 @@ class Flood:
     names: int = 0
     addresses: int = 0
     parts: str = "whole"
-    """`whole`: Basic ID and Location in a Wi-Fi beacon. On BLE 4, in frames of their own: `names` only Basic
-    IDs, `places` only Locations, `texts` only Self IDs."""
+    """`whole`: Basic ID and Location in one Wi-Fi beacon. `names`, `places`, `texts`: BLE 4 frames with only
+    a Basic ID, only a Location, or only a Self ID."""
 
     def frame(self, number: int, now_s: float) -> Raw:
-        """The frame of a number."""
+        """The frame with this number."""
         name = f"F{number % self.names if self.names else number}"
         address = radio_address(f"a{number % self.addresses if self.addresses else number}")
         where = location(now_s, *self.place(number % self.names if self.names else number, now_s))
@@ -127,11 +128,12 @@ FLOODS = (
 )
 
 Steps = list[tuple[float, list[Event], list[Raw], bool]]
-"""Of each step: its time, events of the vehicle, frames, and whether the honest aircraft's is among them."""
+"""For each step: its time, the vehicle's events, the received frames, and whether the honest aircraft sent
+one of them."""
 
 
 def flight(flood: Flood) -> Steps:
-    """Everything that is received in a flight."""
+    """Everything that is received in a flight with this flood."""
     senders = {f"N{n}": FrameSender(radio_address(f"N{n}")) for n in range(ESTABLISHED)}
     steps: Steps = []
     number = 0
@@ -154,7 +156,7 @@ def flight(flood: Flood) -> Steps:
                 continue
             sender = senders[f"N{n}"]
             frames = sender.frames(WIFI_BEACON, (named(f"N{n}"), location(now_s, *where)))
-            # In the middle of what the flood sends.
+            # The honest frame comes in the middle of the flood's frames.
             raw.insert(len(raw) // 2, (WIFI_BEACON, sender.address, frames[0]))
         events = own_events(now_s, slow=tick % 20 == 0) if tick % 2 == 0 else []
         if tick == 0:
@@ -164,8 +166,8 @@ def flight(flood: Flood) -> Steps:
 
 
 def fly(steps: Steps) -> Iterator[tuple[float, float, bool | None]]:
-    """Of each step in the flood: CPU time (s) of decoding and of the core, and whether the honest aircraft
-    was heard; None if it did not send."""
+    """For each step in the flood: CPU time (s) of decoding and of the core, and whether the honest aircraft
+    was heard (None if it did not send)."""
     core, receiver = companion(), FrameReceiver()
     for now_s, events, raw, honest in steps:
         began = time.thread_time()

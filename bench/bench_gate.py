@@ -1,7 +1,7 @@
-"""What the gate costs in one step of the loop: three events heard, the input empty, one setpoint released.
+"""CPU time of the gate in one step of the loop: it takes in three events and releases one setpoint.
 
-Within a fence of eight edges: far from it, near it, and so near that every edge is judged in every step. The
-last column is the share of the release, in which the gate lays a frame open and judges it.
+The fence has eight edges. It is measured far from the fence, near it, and so near that every edge is checked
+in every step. The last column is the part of the release, in which the gate parses a frame and judges it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MOST_US = 30.0
 
 
 def octagon(radius_m: float) -> FenceArea:
-    """Eight edges around the start."""
+    """A fence with eight edges around the start."""
     turns = [math.pi / 4.0 * k for k in range(8)]
     corners = [(radius_m * math.cos(turn), radius_m * math.sin(turn)) for turn in turns]
     points = tuple(FRAME.to_geodetic(*corner, 0.0)[:2] for corner in corners)
@@ -42,7 +42,7 @@ def octagon(radius_m: float) -> FenceArea:
 
 
 def step_events(now_s: float, place: tuple[float, float], speed_mps: float) -> list[Event]:
-    """Position, mode and landed state."""
+    """The events of a step: position, mode and landed state."""
     return [
         GlobalPosition(
             time_boot_s=now_s,
@@ -65,7 +65,7 @@ def step_events(now_s: float, place: tuple[float, float], speed_mps: float) -> l
 
 
 def measure(radius_m: float, speed_mps: float) -> tuple[list[float], list[float]]:
-    """CPU time (s) of each step, and of its release."""
+    """CPU time (s) of each step, and of the release in it."""
     gate = Gate(
         Config(
             identity=IdentityConfig(uas_id="BENCH"),

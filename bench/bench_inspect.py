@@ -1,7 +1,7 @@
-"""A run as recording, figures and report: CPU time, size and memory, and those of a ten times longer run.
+"""A run converted to a recording, figures and a report: CPU time, size and memory.
 
-500 s of 5 aircraft are read, written and verified. The memory of a ten times longer run should hardly be
-larger; each is the peak of a process of its own (`bench.measuring.memory`).
+A run of 500 s with 5 aircraft is read, written and verified. A run ten times as long should need hardly more
+memory. Each memory figure is the peak of a separate process (`bench.measuring.memory`).
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from sitl_mocks.encounters.lockstep import fly
 
 LONGER = 10
 MOST_S, MOST_MB, MOST_FACTOR = 10.0, 50.0, 1.2
-"""Targets: CPU time to write and verify a recording, its size, and the memory of the longer run in times that
-of the shorter."""
+"""Targets: CPU time to write and verify a recording, its size, and the memory of the longer run as a multiple
+of the shorter run's."""
 KINDS = ("recording", "summary", "report")
 
 
 def flown(folder: Path) -> float:
-    """Fly the default scenario, its event records into `folder`; returns how long it was (s)."""
+    """Fly the default scenario and write its event records to `folder`. Returns its duration (s)."""
     end_s = 0.0
 
     def recorder(name: str, config: Config) -> Callable[[Step], None]:
@@ -52,7 +52,7 @@ def flown(folder: Path) -> float:
 
 
 def repeated(source: Path, target: Path, length_s: float) -> None:
-    """The same flight LONGER times, one after the other."""
+    """Write records of the same flight LONGER times, one after the other, to `target`."""
     target.mkdir()
     for path in source.glob("*.events"):
         with path.open("rb") as read, (target / path.name).open("wb") as written:
@@ -76,7 +76,7 @@ def _later(step: Step, by_s: float) -> Step:
 
 
 def cpu_s(*command: str | Path) -> tuple[float, str]:
-    """CPU time of a process, its imports among it, and what it printed."""
+    """CPU time (s) of a process, including its imports, and its output."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -1,10 +1,10 @@
-"""What a far end that stalls and goes on still gets of old setpoints, and what reading a flood costs.
+"""Old setpoints that still arrive after the far end of a link stalled, and the cost of reading a flood.
 
-A real process at the far end of a `KeptLink`, given a frame of 65 bytes twenty times a second, each with the
-time at which it was sent. The far process is stopped (SIGSTOP), or goes on talking without reading ("deaf"),
-or, as root on Linux, sits behind a router that drops everything for a while. "old" is older than 250 ms when
-it is read, "back" the time from the end of the stall to the first fresh frame. The argument is the length of
-the stall in seconds.
+A real process at the far end of a `KeptLink` receives a frame of 65 bytes twenty times a second; each frame
+contains the time at which it was sent. Then the far process is stopped (SIGSTOP), or continues to send
+without reading ("deaf"), or, as root on Linux, sits behind a router that drops everything for a while. "old"
+counts frames older than 250 ms when they are read, and "back" is the time from the end of the stall to the
+first fresh frame. The argument is the length of the stall in seconds.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ HEARTBEAT = b"\xfd and what follows in a beat"
 
 
 class Far:
-    """The far process: reads, notes the age of all it reads, and talks ten times a second."""
+    """The far process: it reads frames, notes their ages, and sends ten times a second."""
 
     def __init__(self, kind: str, buffer: int) -> None:
         self.ages: list[float] = []
@@ -73,7 +73,7 @@ class Far:
         self._reads = not self._reads
 
     def run(self) -> None:
-        """Until the standard input ends."""
+        """Read and send until the standard input ends; then print the ages as JSON."""
         talk_s = time.monotonic()
         while not select.select([0], [], [], 0.005)[0]:
             if self._reads:
@@ -135,7 +135,7 @@ class Far:
 
 
 def ip(*arguments: str) -> None:
-    """`ip ARGUMENTS`, which must succeed."""
+    """Run `ip ARGUMENTS`, which must succeed."""
     subprocess.run(["ip", *arguments], check=True, capture_output=True)
 
 
@@ -161,7 +161,7 @@ class Network:
         return self
 
     def drop(self, on: bool) -> None:
-        """Drop all from now on, or carry all."""
+        """Drop all packets from now on, or forward all again."""
         for number in (1, 2):
             ip("-n", self.router, "route", "add" if on else "del", "blackhole", f"10.9.{number}.2/32")
 
@@ -172,7 +172,7 @@ class Network:
 
 @contextmanager
 def inside(name: str | None) -> Iterator[None]:
-    """What opens a socket meanwhile does it in this namespace."""
+    """Sockets that are opened inside this context belong to this network namespace."""
     if name is None:
         yield
         return
@@ -190,7 +190,7 @@ def inside(name: str | None) -> Iterator[None]:
 
 
 def stall(kind: str, how: str, buffer: int, stall_s: float) -> dict[str, float]:
-    """One link through one stall; how many frames came old, and how old."""
+    """Measure one link through one stall. Returns, among others, how many frames arrived old, and how old."""
     with ExitStack() as stack:
         network = stack.enter_context(Network()) if how == "drops" else None
         prefix = ["ip", "netns", "exec", network.far] if network else []
@@ -235,7 +235,7 @@ def stall(kind: str, how: str, buffer: int, stall_s: float) -> dict[str, float]:
 
 
 def send(kept: KeptLink, seconds: float) -> int:
-    """Exchange for so long as a flight does."""
+    """Exchange data for the given time (s) as a flight does. Returns the number of sent frames."""
     count, end = 0, time.monotonic() + seconds
     due = time.monotonic()
     while due < end:
@@ -253,7 +253,7 @@ def send(kept: KeptLink, seconds: float) -> int:
 
 
 def flood() -> None:
-    """One call's cost while a sender never stops, and what the parser makes of a full portion."""
+    """Measure one receive call while a sender never stops, and the time to parse a full portion."""
     listening = UdpLink(("127.0.0.1", 0), LinkTrouble(), listen=True)
     with socket.socket(fileno=os.dup(listening.fileno())) as same:
         granted = same.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
@@ -271,7 +271,7 @@ def flood() -> None:
             costs, emptied = [], 0
             end = time.perf_counter() + FLOOD_S
             while time.perf_counter() < end:
-                # Behind, as after a stall: the buffer is full.
+                # Start with a full buffer, as after a stall.
                 time.sleep(0.02)
                 began = time.perf_counter()
                 received = listening.receive(time.monotonic())

@@ -1,6 +1,6 @@
 """Lock-step simulation through real bytes, one core: simulated seconds per second, and where the time goes.
 
-CPU time; each run is repeated, and the least time of each tick counts.
+Each run is repeated, and the least CPU time of each tick counts.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sitl_mocks.encounters.scenario_file import Scenario
 SECONDS = 20.0
 RUNS = 5
 TARGET, OF = 60.0, 5
-"""Times real time, and aircraft for which it is asked."""
+"""Target speed as a multiple of real time, and the number of aircraft for which it applies."""
 PARTS = {
     "mock vehicle: fly and send": ("sitl_mocks/vehicle/mock_vehicle.py", "advance"),
     "mock vehicle: receive": ("sitl_mocks/vehicle/mock_vehicle.py", "receive"),

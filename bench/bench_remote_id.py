@@ -1,4 +1,4 @@
-"""Remote ID: messages and frames a second on one core, and from a frame to the track it updates."""
+"""Remote ID: messages and frames per second on one core, and the time from a frame to its track."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ OTHERS = (
     SelfId(description_type=0, text="survey"),
     OperatorId(operator_id_type=0, operator_id="FIN87astrdge12k8"),
 )
-"""With Basic ID and Location, all that the law of a region asks for."""
+"""The messages that, with Basic ID and Location, make up everything that the rules of a region require."""
 
 NUMBER = 4_000
-"""Calls in a round."""
+"""Number of calls in a round."""
 AIRCRAFT = 20
 _UTC_S = 3600.0 * 450_000
 _TICKS = 600
@@ -62,7 +62,8 @@ _TICK_S = 0.1
 
 
 def rate(call: Callable[[], object]) -> float:
-    """Calls a second; the best of ten rounds, short enough that one of them is likely to be undisturbed."""
+    """Calls per second: the best of ten rounds, each so short that one of them is likely to be
+    undisturbed."""
     best = float("inf")
     for _ in range(10):
         began = time.perf_counter()
@@ -73,7 +74,7 @@ def rate(call: Callable[[], object]) -> float:
 
 
 class Reception:
-    """A receiver with the tracks of `AIRCRAFT` behind it; each frame brings one of them a new position."""
+    """A receiver that has tracks of `AIRCRAFT` aircraft. Each frame brings a new position of one of them."""
 
     def __init__(self, transport: str) -> None:
         self._transport = transport
@@ -99,7 +100,7 @@ class Reception:
         self._frame_of_reference = LocalFrame(47.4, FRAME.lon_deg + 0.0001234, 450.0)
 
     def take(self) -> RemoteIdHeard | None:
-        """The next frame, from its bytes to the track."""
+        """Process the next frame, from its bytes to the track."""
         at = self._count % len(self._frames)
         if at == 0:
             self._begin()
@@ -112,7 +113,7 @@ class Reception:
         return event
 
     def check(self) -> None:
-        """Every frame has updated a track."""
+        """Assert that every frame has updated a track."""
         taken = (self._count - 1) % len(self._frames) + 1
         if (self.traffic.counts.updates, len(self.traffic.tracks)) != (taken, min(taken, AIRCRAFT)):
             raise RuntimeError(f"{self._transport}: {self.traffic.counts} after {taken} frames")

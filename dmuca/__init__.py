@@ -1,8 +1,9 @@
-"""The project under the name that it is installed by: its version and its public rooms.
+"""The package name under which the project is installed: its version and its public rooms.
 
 `dmuca.remote_id` is `companion.remote_id`, and so on for each name in `ROOMS`; docs/library.md describes
-them. A room is imported when it is first used, so that `import dmuca` alone takes no time and needs no extra;
+them. A room is imported on first use, so `import dmuca` alone is fast and needs no extra. The form
 `from dmuca.remote_id import encode` works too.
+
 In an installed copy this folder also holds `config` and `results`, which `companion.shipped` finds.
 """
 
@@ -22,13 +23,13 @@ ROOMS: Final = {
     "channel": "sitl_mocks.channel",
     "training": "ground_tools.atmc",
 }
-"""Public rooms: the name here, and the module that it stands for. `training` needs the extra `train`."""
+"""Public rooms: the name here, and the module that it refers to. `training` needs the extra `train`."""
 
 __all__ = ["ROOMS", "__version__"]
 
 
 def __getattr__(name: str) -> ModuleType:
-    """A public room, imported when it is first used.
+    """Return a public room, imported on first use.
 
     Raises:
         AttributeError: there is no such room.

@@ -1,4 +1,4 @@
-"""`dmuca.atmc` is `companion.atmc`, also where it is imported by that name."""
+"""Alias: importing `dmuca.atmc` gives the module `companion.atmc`."""
 
 from __future__ import annotations
 

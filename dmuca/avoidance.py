@@ -1,4 +1,4 @@
-"""`dmuca.avoidance` is `companion.avoidance`, also where it is imported by that name."""
+"""Alias: importing `dmuca.avoidance` gives the module `companion.avoidance`."""
 
 from __future__ import annotations
 

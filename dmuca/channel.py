@@ -1,4 +1,4 @@
-"""`dmuca.channel` is `sitl_mocks.channel`, also where it is imported by that name."""
+"""Alias: importing `dmuca.channel` gives the module `sitl_mocks.channel`."""
 
 from __future__ import annotations
 

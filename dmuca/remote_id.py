@@ -1,4 +1,4 @@
-"""`dmuca.remote_id` is `companion.remote_id`, also where it is imported by that name."""
+"""Alias: importing `dmuca.remote_id` gives the module `companion.remote_id`."""
 
 from __future__ import annotations
 

@@ -5,8 +5,8 @@
     class TestMine(LawConformance):
         name = "mine"          # the entry point, of the installed distribution
 
-Each `test_...` method also works when it is called directly: it raises AssertionError, or `unittest.SkipTest`
-where the subclass gives it nothing to test with. docs/plug-ins.md describes what plug-ins may and must do.
+Each `test_...` method can also be called directly. It raises AssertionError, or `unittest.SkipTest` if the
+subclass provides nothing to test with. docs/plug-ins.md describes what plug-ins may and must do.
 """
 
 from __future__ import annotations
@@ -48,16 +48,17 @@ class LawConformance:
     """Tests of a plug-in of `dmuca.laws`."""
 
     name: ClassVar[str]
-    """Its entry point."""
+    """Name of the plug-in's entry point."""
     least_m: ClassVar[float] = 10.0
-    """Distance that it must keep from an aircraft that hovers on its path: the separation."""
+    """Distance that the law must keep from an aircraft that hovers on its path, m; by default the
+    separation."""
 
     def law(self) -> PluginLaw:
         """A new law on a straight path to the north, 50 m up, at 4 m/s."""
         return PluginLaw(AvoidanceConfig(law=self.name), LimitsConfig(), _PATH)
 
     def test_it_answers_any_situation(self) -> None:
-        """No number of neighbours, and nothing that they do, makes it fail."""
+        """The law must not fail, whatever the number and behaviour of the neighbours."""
         law, rng = self.law(), np.random.default_rng(1)
         for step in range(300):
             found = law.decide(_situation(rng, step, int(rng.integers(0, 60))))
@@ -65,7 +66,7 @@ class LawConformance:
             assert all(map(math.isfinite, found.chosen_ned_mps))
 
     def test_the_same_situations_give_the_same_answers(self) -> None:
-        """A replay depends on it."""
+        """Replays depend on this."""
         answers = []
         for _ in range(2):
             law, rng = self.law(), np.random.default_rng(2)
@@ -75,12 +76,12 @@ class LawConformance:
         assert answers[0] == answers[1]
 
     def test_it_arrives_where_nobody_is_in_the_way(self) -> None:
-        """At the end of a free path, the aircraft is within 5 m of it."""
+        """At the end of a path without traffic, the aircraft is within 5 m of the path's end."""
         places = self._fly(())
         assert float(np.linalg.norm(places[-1] - np.array(_PATH.position(100.0)))) < 5.0
 
     def test_it_keeps_clear_of_an_aircraft_that_hovers_on_its_path(self) -> None:
-        """The aircraft keeps `least_m` from it."""
+        """The aircraft stays at least `least_m` away from the hovering one."""
         place = 150.0, 0.0, -50.0
         other = Neighbour(
             track_id="A", position_ned_m=place, velocity_ned_mps=(0.0, 0.0, 0.0), age_s=0.0, sigma_m=1.0
@@ -89,7 +90,7 @@ class LawConformance:
         assert least > self.least_m, f"it came within {least:.1f} m"
 
     def _fly(self, neighbours: tuple[Neighbour, ...]) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """True places of a point mass that answers commands with a lag, one for each decision."""
+        """True positions of a point mass that follows commands with a lag, one for each decision."""
         law, places = self.law(), []
         place, velocity = np.array(_PATH.position(0.0)), np.array([4.0, 0.0, 0.0])
         for step in range(round(120.0 / _PERIOD_S)):
@@ -108,7 +109,7 @@ class PolicyConformance:
     """Tests of a plug-in of `dmuca.policies`."""
 
     name: ClassVar[str]
-    """Its entry point."""
+    """Name of the plug-in's entry point."""
 
     def policy(self) -> PluginPolicy:
         """A new policy."""
@@ -122,7 +123,7 @@ class PolicyConformance:
             assert isinstance(answer, Choice), answer
 
     def test_if_one_action_is_allowed_it_chooses_that_one(self) -> None:
-        """It does so even if it would rather keep the action in use."""
+        """This holds even if the policy prefers to keep the action in use."""
         policy, rng = self.policy(), np.random.default_rng(2)
         for index in range(len(policy.actions)):
             own, rows, allowed, current = _observation(rng, len(policy.actions))
@@ -131,7 +132,7 @@ class PolicyConformance:
             assert policy.choose(own, rows, allowed, current) == Choice(index, policy.actions[index])
 
     def test_the_same_observations_give_the_same_choices(self) -> None:
-        """A replay depends on it."""
+        """Replays depend on this."""
         answers = []
         for _ in range(2):
             policy, rng = self.policy(), np.random.default_rng(3)
@@ -140,7 +141,7 @@ class PolicyConformance:
 
 
 class _NoLink:
-    """A link at whose other end nothing is."""
+    """A link without anything at its other end."""
 
     def wait(self, timeout_s: float) -> None:
         """Do not wait."""
@@ -150,7 +151,7 @@ class _NoLink:
         return b""
 
     def send(self, data: bytes) -> None:
-        """Lose the bytes."""
+        """Discard the bytes."""
 
     def close(self) -> None:
         """Do nothing."""
@@ -160,14 +161,14 @@ class RadioConformance:
     """Tests of a plug-in of `dmuca.radios`."""
 
     name: ClassVar[str]
-    """Its entry point."""
+    """Name of the plug-in's entry point."""
 
     def options(self) -> Mapping[str, Any]:
-        """Options with which it opens on this machine."""
+        """Options with which the radio opens on this machine."""
         return {}
 
     def bad_options(self) -> Mapping[str, Any]:
-        """Options that it must refuse with a ConfigError."""
+        """Options that the radio must refuse with a ConfigError."""
         return {"no_such_option": 1}
 
     def link(self, _address: str) -> ByteLink:
@@ -186,7 +187,7 @@ class RadioConformance:
         )
 
     def test_it_says_what_it_can(self) -> None:
-        """Transports are known, addresses have their form, and the state is readable."""
+        """Transports are known, addresses have the required form, and the state is readable."""
         with self._opened() as radio:
             assert radio.capabilities | radio.hears, "it neither sends nor hears"
             assert radio.capabilities | radio.hears <= TRANSPORTS
@@ -207,7 +208,7 @@ class RadioConformance:
         assert refused.startswith("radio.options: "), f"it raised something else than ConfigError: {refused}"
 
     def test_it_sends_on_each_of_its_transports(self) -> None:
-        """Sent frames are counted, and nothing is raised."""
+        """Sent frames are counted, and sending raises nothing."""
         with self._opened() as radio:
             rates = dict.fromkeys(sorted(radio.capabilities), 1)
             radio.configure(rates, probe=True)
@@ -219,7 +220,7 @@ class RadioConformance:
                 assert radio.health(0.0).frames_sent > before, f"{transport}: nothing was sent"
 
     def test_a_transport_that_it_does_not_have_is_refused(self) -> None:
-        """By ValueError, as the contract says."""
+        """The radio raises ValueError, as `Radio` requires."""
         with self._opened() as radio:
             for transport in (*sorted(TRANSPORTS - radio.capabilities), "pigeon"):
                 try:
@@ -229,7 +230,7 @@ class RadioConformance:
                 raise AssertionError(f"{transport}: no ValueError")
 
     def test_it_hears_what_was_sent(self) -> None:
-        """Each message of each frame arrives unchanged, on each transport that it receives."""
+        """Each message of each frame arrives unchanged, on each transport that the radio receives."""
         address = radio_address("OTHER")
         with self._opened() as radio:
             for transport in sorted(radio.hears):
@@ -243,7 +244,7 @@ class RadioConformance:
                 assert radio.heard(0.0) == [], "a frame is returned once"
 
     def test_damaged_frames_are_counted_and_never_raised(self) -> None:
-        """Random bytes, and frames with flipped bits and torn ends."""
+        """The input is random bytes, and frames with flipped bits or cut-off ends."""
         rng = np.random.default_rng(4)
         with self._opened() as radio:
             for transport in sorted(radio.hears):
@@ -260,7 +261,7 @@ class RadioConformance:
             assert radio.health(1.0).bad_frames > 0, "damaged frames are not counted"
 
     def test_it_is_idle_without_an_error(self) -> None:
-        """A flight asks twenty times a second, and hears nobody for hours."""
+        """A flight polls the radio twenty times a second and may hear nobody for hours."""
         with self._opened() as radio:
             for step in range(200):
                 radio.heard(0.05 * step)
@@ -285,17 +286,17 @@ class FirmwareConformance:
     """Tests of a plug-in of `dmuca.firmwares`."""
 
     name: ClassVar[str]
-    """Its entry point."""
+    """Name of the plug-in's entry point."""
 
     def dialect(self) -> Dialect:
-        """The dialect, checked."""
+        """The plug-in's dialect, checked."""
         loaded = plugins.load(plugins.FIRMWARES, self.name).loaded
         check_dialect(loaded)
         assert isinstance(loaded, Dialect)
         return loaded
 
     def test_it_holds_together(self) -> None:
-        """Modes are commanded and read back as themselves, and parameters are known."""
+        """Each mode that is commanded is read back as the same mode, and parameters are known."""
         dialect = self.dialect()
         assert dialect.vehicle_types
         for mode, command in dialect.commands.items():
@@ -306,11 +307,11 @@ class FirmwareConformance:
             assert wanted.lowest < wanted.highest, f"{wanted.field}: an empty range"
 
     def test_modes_that_a_pilot_flies_are_never_taken_from(self) -> None:
-        """Sticks and unknown modes belong to the pilot."""
+        """Modes flown by stick and unknown modes belong to the pilot."""
         assert not self.dialect().take_from & {FlightMode.STICKS, FlightMode.OTHER}
 
     def test_it_takes_the_place_of_its_firmware(self) -> None:
-        """It replaces the built-in dialect while it is in use, and no longer."""
+        """The dialect replaces the built-in one while it is in use, and no longer."""
         dialect = self.dialect()
         before = dict(DIALECTS)
         try:
@@ -323,7 +324,7 @@ class FirmwareConformance:
 
 
 def _situation(rng: np.random.Generator, step: int, others: int) -> Situation:
-    """A random situation; the neighbours may fly anywhere, also through the own aircraft."""
+    """A random situation. The neighbours may fly anywhere, even through the own aircraft."""
 
     def three(scale: float) -> tuple[float, float, float]:
         n, e, d = rng.normal(0.0, scale, 3).tolist()
@@ -355,7 +356,7 @@ def _observation(rng: np.random.Generator, actions: int) -> tuple[Any, Any, Any,
 
 
 def _messages() -> tuple[Message, ...]:
-    """An identity and a place, as decoding gives them back."""
+    """A Basic ID and a Location as decoding returns them."""
     return (
         BasicId(
             id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id="1596B0000DMUCA01"

@@ -1,4 +1,4 @@
-"""`dmuca.traffic` is `companion.traffic`, also where it is imported by that name."""
+"""Alias: importing `dmuca.traffic` gives the module `companion.traffic`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`dmuca.training` is `ground_tools.atmc`, also where it is imported by that name."""
+"""Alias: importing `dmuca.training` gives the module `ground_tools.atmc`."""
 
 from __future__ import annotations
 

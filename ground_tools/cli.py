@@ -52,7 +52,7 @@ COMMANDS: Final = (
     ),
     ("results", "ground_tools.results.command", "tell which kept results today's software still makes"),
 )
-"""Name, module and words of help of each subcommand."""
+"""Name, module and help text of each subcommand."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,4 +1,4 @@
-"""How the suite is spread over the workers of pytest-xdist, and what holds for all tests."""
+"""Settings for all tests, and the distribution of the suite over the workers of pytest-xdist."""
 
 from __future__ import annotations
 
@@ -19,15 +19,14 @@ settings.load_profile("no wall clock")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Set what holds for all processes, the workers and those that tests start.
+    """Apply settings to all processes: the workers and those that tests start.
 
-    - The bytecode of modules is kept, whatever the environment says. Without it every process would compile
-      the same hundreds of modules again.
-    - NumPy and PyTorch compute in one thread. Several would wait for each other, busily, on the cores that
-      the workers share.
-    - SIGINT interrupts. A shell without job control has what it starts in the background ignore it.
-    - The files keep their order. pytest-xdist would begin with the files of many tests, and end with those of
-      few long ones, during which other workers idle.
+    - Bytecode is written regardless of the environment. Otherwise every process would compile the same
+      hundreds of modules again.
+    - NumPy and PyTorch use one thread. Several would block each other by busy waiting on the shared cores.
+    - SIGINT interrupts. A shell without job control lets its background processes ignore this signal.
+    - The files keep their order. pytest-xdist would end with files of a few long tests, while other workers
+      are idle.
     """
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -35,17 +34,17 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.setdefault(name, "1")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    if hasattr(config.option, "loadscopereorder"):  # of pytest-xdist
+    if hasattr(config.option, "loadscopereorder"):  # an option of pytest-xdist
         config.option.loadscopereorder = False
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """What is collected stays, so that the garbage collector need not look through it, now or later.
+    """Freeze the collected tests, so that the garbage collector never traverses them.
 
-    It also looks less often than by default: simulated flights allocate much, and leave few cycles. A flight
-    of `companion.runtime` unfreezes everything at its end, and each one after it would look through the whole
-    suite again.
+    Also collect less often than by default, because simulated flights allocate much and leave few cycles. A
+    flight of `companion.runtime` calls `gc.unfreeze` at its end, after which each collection would traverse
+    the whole suite; this call is therefore disabled.
     """
     gc.disable()
     try:
@@ -58,11 +57,11 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def _nothing_to_unfreeze() -> None:
-    """Takes the place of `gc.unfreeze`."""
+    """Replacement of `gc.unfreeze` that does nothing."""
 
 
 def _waits(nodeid: str) -> bool:
-    """Whether a test spends most of its time waiting for processes of its own."""
+    """Whether a test spends most of its time waiting for processes that it started."""
     return nodeid.startswith("tests/integration/test_")
 
 
@@ -77,7 +76,7 @@ LONGEST = (
     "test_a_companion_that_was_stopped",
     "integration/test_swarm",
 )
-"""What waits longest, whatever the machine. Begun late, it would end last."""
+"""The tests that wait longest on any machine. They start early, because they would otherwise end last."""
 WAITING_FILES = (
     "ground_tools/test_cluster",
     "viewer/test_browser",
@@ -87,29 +86,28 @@ WAITING_FILES = (
     "sitl_mocks/test_swarm_judge",
     "tests/test_bench",
 )
-"""Files outside `tests/integration` that wait for most of their time."""
+"""Files outside `tests/integration` that spend most of their time waiting."""
 MOST_WAITING = 3
-"""How many workers begin with what waits, of two or more."""
+"""Most workers that start with waiting tests."""
 COMPILED_FIRST = ("ground_tools/campaign", "ground_tools/city")
-"""Whose compiled functions may still be being compiled while the first tests run.
-
-The cluster, which needs them too, begins after what waits longer."""
+"""Folders whose compiled functions may still be compiling while the first tests run. The cluster tests need
+these functions too, but start later."""
 
 
 def _unit(nodeid: str) -> str:
-    """Name of the tests that run one after another in one worker."""
+    """Name of the unit of tests that run one after another in one worker."""
     if _waits(nodeid):
         return nodeid
     return TOGETHER if nodeid.startswith(TOGETHER) else nodeid.partition("::")[0]
 
 
 def _unit_waits(unit: str) -> bool:
-    """Whether the tests of a unit keep a core idle for most of their time."""
+    """Whether the tests of a unit leave a core idle for most of their time."""
     return _waits(unit) or any(part in unit for part in WAITING_FILES)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A unit that waits, to every three that compute; many small files come last."""
+    """Order the tests: one waiting unit for every three computing units, and the many small files last."""
 
     def unit(item: pytest.Item) -> str:
         return _unit(item.nodeid)
@@ -135,17 +133,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """One more than cores for what computes, because that waits too at times, and three for what waits."""
+    """One worker per core plus one for computing tests, which sometimes wait too, plus three for waiting
+    tests."""
     return len(os.sched_getaffinity(0)) + 4
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """With `--dist loadfile`, tests that wait are spread one by one, and have workers of their own.
+    """With `--dist loadfile`, distribute waiting tests one by one, to workers of their own.
 
-    A worker is given its next unit before it has ended the one before. If any worker were given any unit,
-    files that compute would stand behind tests that wait, while a core is idle. Whoever finds no more of its
-    own kind takes the other.
+    A worker receives its next unit before it finishes the present one. If every worker could receive any
+    unit, computing files would queue behind waiting tests while a core is idle. A worker without units of its
+    own kind takes units of the other kind.
     """
     if config.getvalue("dist") != "loadfile":
         return None
@@ -173,20 +172,21 @@ from ground_tools.city.traffic.demand import Demand
 demand = Demand(pattern="inspections", per_km2=12.0, north_m=1000.0, east_m=1000.0)
 cells.fly(cells.City(demand=demand, duration_s=2.0, settle_s=0.0), 2)
 """
-"""A flight of the campaign, and one of a city: what they call is compiled, unless it is in the cache."""
+"""A flight of a campaign and one of a city. They compile all functions that they call, unless the cache has
+them."""
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_configure_node(node: Any) -> None:
-    """Compile once what in a fresh clone all workers, and the processes that they start, would compile.
+    """Compile once what all workers and their processes would compile in a fresh clone.
 
-    While the first worker collects the tests, and so compiles them to bytecode, the kernels are compiled.
-    Then the others start, and the functions of campaign and city are compiled, which the first tests do not
+    The kernels are compiled while the first worker collects the tests and thereby writes their bytecode. Then
+    the other workers start, and the functions of campaign and city are compiled, which the first tests do not
     need.
     """
     if node.gateway.id != "gw1":
         return
-    from companion.avoidance import kernels  # not in the workers: it takes half a second to load
+    from companion.avoidance import kernels  # takes half a second; not for workers
 
     kernels.warm_up()
     compiling = subprocess.Popen([sys.executable, "-c", COMPILE], cwd=Path(__file__).parents[1])
@@ -195,7 +195,7 @@ def pytest_configure_node(node: Any) -> None:
 
 @pytest.fixture
 def hangup_ends() -> Iterator[None]:
-    """SIGHUP ends this process and those that it starts, though the tests may run under nohup."""
+    """Let SIGHUP end this process and those that it starts, even if the tests run under nohup."""
     before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     yield
     signal.signal(signal.SIGHUP, before)

@@ -1,1 +1,2 @@
-"""Programs beside the benches: larger inputs, single products of a run, figures of long flights."""
+"""Programs beside the benchmarks: they make large logs, single products of a run, and figures of many
+flights."""

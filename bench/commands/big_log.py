@@ -1,8 +1,8 @@
-"""`python -m bench.commands.big_log SOURCE TARGET [MB]`: a large onboard log, made of a small one.
+"""`python -m bench.commands.big_log SOURCE TARGET [MB]`: makes a large onboard log from a small one.
 
-The data of SOURCE (.bin or .ulg) are repeated with times that go on, until TARGET has the given size (10^6
-bytes; 1074 if it is not given). `python -m bench.commands.convert_run report TARGET FILE` then prints how
-much memory a report takes.
+The data of SOURCE (.bin or .ulg) are repeated, with increasing time stamps, until TARGET has the given size
+in units of 10^6 bytes (default: 1074). `python -m bench.commands.convert_run report TARGET FILE` then prints
+how much memory a report takes.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import numpy as np
 from companion.flight_logs import dataflash, ulog
 
 PAUSE_US = 1000
-"""Time between one repetition and the next."""
+"""Gap in the time stamps between two repetitions."""
 
 
 def stamps_of_dataflash(data: bytes) -> tuple[int, int, list[int]]:
-    """Where the repeated part begins and ends, and where its time stamps stand."""
+    """Offsets (bytes) of the beginning and the end of the repeated part, and of the time stamps in it."""
     lengths, stamped, found = {128: 89}, set(), []
     at = 0
     while data[at : at + 2] == dataflash.HEAD and at + lengths[data[at + 2]] <= len(data):
@@ -37,7 +37,8 @@ def stamps_of_dataflash(data: bytes) -> tuple[int, int, list[int]]:
 
 
 def stamps_of_ulog(data: bytes) -> tuple[int, int, list[int]]:
-    """As `stamps_of_dataflash`. The repeated part begins with the first data, behind all descriptions."""
+    """As `stamps_of_dataflash`. The repeated part begins with the first data message, after all
+    definitions."""
     at, first = 16, 0
     found = []
     while at + 3 <= len(data):

@@ -1,6 +1,6 @@
-"""`python -m bench.commands.convert_run KIND RUN FILE`: one product of a run, made in a process of its own.
+"""`python -m bench.commands.convert_run KIND RUN FILE`: makes one product of a run in this process.
 
-KIND is recording, summary or report. Prints the most memory that this took, in 10^6 bytes.
+KIND is recording, summary or report. It prints the peak memory in units of 10^6 bytes.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ground_tools.inspect.viewer import recording
 
 
 def main(kind: str, folder: str, path: str) -> None:
-    """Make it."""
+    """Make the product and print the peak memory."""
     run = read_run(Path(folder))
     if kind == "recording":
         recording.write(run, Path(path))

@@ -1,8 +1,8 @@
 """`python -m bench.commands.honest_conflicts TABLE SEEDS`: how long and how far honest traffic moves us.
 
-Flies the cells of a table of docs/safety.md (without the twins and the paper's law) and prints a line of
-JSON for each: of all avoiding aircraft the median, the 99 and 99.9 % quantiles and the greatest value. The
-defaults of `[containment]` stand above these (docs/containment.md).
+It flies the cells of a table of docs/safety.md (without the twins and the paper's law) and prints one line of
+JSON for each: the median, the 99 % and 99.9 % quantiles and the greatest value over all avoiding aircraft.
+The defaults of `[containment]` are above these values (docs/containment.md).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def of_aircraft(look: Look, i: int) -> list[float]:
 
 
 def _pressed_s(inside: Bools) -> float:
-    """Longest time inside a volume, time outside counted half against it."""
+    """Longest time inside a volume of another aircraft, s; time outside subtracts half of itself."""
     longest, now = np.zeros(inside.shape[1]), np.zeros(inside.shape[1])
     for row in inside:
         now = np.where(row, now + DECISION_S, np.maximum(now - 0.5 * DECISION_S, 0.0))
@@ -47,7 +47,7 @@ def _pressed_s(inside: Bools) -> float:
 
 
 def _held_s(look: Look, i: int) -> float:
-    """Time in conflict and on the way back."""
+    """Time in conflict and on the way back to the path, s."""
     time_s = look.log.time_s[:, i]
     conflict, recovering = look.log.conflict[:, i] != 0.0, look.log.recovering[:, i] != 0.0
     since_s = time_s - np.maximum.accumulate(np.where(conflict, time_s, -np.inf))
@@ -56,7 +56,7 @@ def _held_s(look: Look, i: int) -> float:
 
 
 def _reach(look: Look, i: int) -> tuple[float, float, float]:
-    """Largest distances to the side of the path, below its present leg and above it."""
+    """Largest distances (m) to the side of the path, below its present leg, and above it."""
     place, points = look.trace[:, i], look.points[i]
     start, way = points[:-1, :2], np.diff(points[:, :2], axis=0)
     length2 = np.maximum((way**2).sum(axis=1), 1e-9)

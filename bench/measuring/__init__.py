@@ -1,1 +1,1 @@
-"""How figures are measured: processor time, memory, and targets beside them."""
+"""Helpers of the benchmarks: processor time, memory, and the output of targets."""

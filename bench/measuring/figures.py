@@ -1,8 +1,8 @@
-"""How figures are measured on a shared machine, and how they are shown beside their targets.
+"""Measurement of CPU times on a shared machine, and output of figures beside their targets.
 
 Other work on the machine makes a piece of work take more CPU time, because caches and execution units are
-shared, but never less. Work is therefore measured in pieces of a millisecond or so, each is repeated, and the
-least CPU time of each piece counts. Figures of two machines can be compared as multiples of `reference_s`.
+shared, but never less. Work is therefore split into pieces of about a millisecond, each piece is repeated,
+and its least CPU time counts. To compare figures of two machines, divide them by `reference_s`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _REFERENCE_PIECES, _REFERENCE_LOOPS = 500, 5_000
 
 
 def least_cpu_s(call: Callable[[], object], rounds: int) -> float:
-    """The least CPU time (s) of a call of a function that is called `rounds` times."""
+    """Least CPU time (s) of a call, over `rounds` calls of a function."""
     least = float("inf")
     for _ in range(rounds):
         began = time.process_time()
@@ -24,12 +24,12 @@ def least_cpu_s(call: Callable[[], object], rounds: int) -> float:
 
 
 def least_of_each(rounds: Iterable[Sequence[float]]) -> list[float]:
-    """The least time of each piece of work, of rounds that do the same pieces."""
+    """Least time of each piece of work, over rounds that do the same pieces."""
     return [min(times) for times in zip(*rounds, strict=True)]
 
 
 def reference_s() -> float:
-    """CPU time (s) of a million turns of a fixed loop of plain Python, here and now."""
+    """CPU time (s) of a million iterations of a fixed loop of plain Python, measured now on this machine."""
 
     def loop() -> None:
         total = 0

@@ -12,7 +12,7 @@ from pathlib import Path
 
 
 def memory_mb(key: str, pid: int | None = None) -> float:
-    """A field of /proc/PID/status, 10^6 bytes.
+    """A memory field of /proc/PID/status, in units of 10^6 bytes.
 
     Args:
         key: `VmRSS` (resident now), `RssAnon` (of that, not backed by a file) or `VmHWM` (the largest

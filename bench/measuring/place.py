@@ -1,4 +1,4 @@
-"""Where the benches fly."""
+"""Where the benchmarks fly."""
 
 from __future__ import annotations
 

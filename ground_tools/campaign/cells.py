@@ -36,7 +36,7 @@ Law = Literal["dmuca", "paper", "none"]
 """The companion's laws. A `Cell` may also be flown by one of `peers.laws.PEERS`."""
 LAWS: dict[Law, AvoidanceConfig] = {
     "dmuca": AvoidanceConfig(),
-    # The paper gives no parameters; of those that were tried, these kept pairs apart most often.
+    # The paper gives no parameters. Of the parameters that were tried, these kept pairs apart most often.
     "paper": AvoidanceConfig(
         law="paper", horizon_s=30.0, period_s=0.2, n_noncollide=75, recovery_time_s=10.0
     ),
@@ -55,13 +55,13 @@ WORLDS = {
     "all": World(gust_mps2=0.6, clock_s=0.5, own_sigma_mps=0.3, floor_m=70.0, ceiling_m=130.0),
 }
 KINDS = vehicles.INTRUDERS | vehicles.TWINS | dict.fromkeys(missions.MISSIONS, vehicles.BLIND)
-"""Kind of an aircraft for each word for intruders."""
+"""Kind of an aircraft (`vehicles`), by the name of the kind of intruder."""
 FLIGHT = "ground_tools.campaign.flight"
 """Module that flies an encounter."""
 TWINS = "ground_tools.campaign.twins"
 """Module that flies an encounter in which two aircraft send one identity."""
 PEERS = "ground_tools.campaign.peers.laws"
-"""Module that names the laws of others."""
+"""Module that lists the laws of other projects."""
 PLANNED = "ground_tools.campaign.peers.omniscient"
 """Module of the law that plans everything before the flight."""
 ENCOUNTERS = ("ground_tools.campaign.generators", "companion.avoidance.trajectory")
@@ -69,10 +69,10 @@ ENCOUNTERS = ("ground_tools.campaign.generators", "companion.avoidance.trajector
 SCENARIOS = ("ground_tools.campaign.scenarios.layouts", "ground_tools.campaign.scenarios.missions")
 """Modules that draw scenarios and the paths of intruders on missions."""
 FILES = "ground_tools.campaign.scenarios.files"
-"""Module that makes flights of files of others."""
+"""Module that makes flights from files of other projects."""
 MISSION_MPS2 = 5.0
-"""Limit of the change of command of an intruder on a mission. It turns as sharply as vehicles here can, and
-so passes where its path does."""
+"""Limit of the change of command (m/s^2) of an intruder on a mission. It exceeds the vehicle's own limit, so
+that the intruder turns as sharply as it can and stays close to its path."""
 _RESERVE = 0.6
 """Ratio of planned to greatest speed in encounters in which each aircraft has its own limits."""
 SEPARATION_M = 2.0 * AvoidanceConfig().conflict_radius_m
@@ -291,7 +291,7 @@ def _from_to_s(cell: Cell, times: Floats) -> tuple[float, float]:
 
 
 def flown_by(cell: Cell) -> Flown:
-    """What the law of a cell means.
+    """The law and its settings that the name in a cell refers to.
 
     Raises:
         ConfigError: there is no such law, or it cannot fly this cell.
@@ -338,7 +338,7 @@ def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
 
 
 def kept(folder: Path, cell: Cell) -> Kept[Row]:
-    """The stored results of a cell, its rows by seed.
+    """The stored results of a cell: rows by seed.
 
     Args:
         folder: an existing folder.
@@ -365,11 +365,11 @@ def software(
     """Digest of the code of law, world and encounters, on which the flights depend.
 
     Args:
-        twins: also that of the tracks.
-        peers: also that of the laws of `peers`.
-        planned: also that of `peers.omniscient`.
-        scenarios: also that of missions and scenarios.
-        others: also that of flights from files.
+        twins: include the code of the tracks.
+        peers: include the laws of `peers`.
+        planned: include `peers.omniscient`.
+        scenarios: include missions and scenarios.
+        others: include flights from files of other projects.
     """
     also = [
         *([FILES] if others else []),
@@ -382,7 +382,7 @@ def software(
 
 
 def software_of(cells: Sequence[Cell]) -> str:
-    """`software`, as far as the flights of these cells depend on it."""
+    """`software` with exactly the parts on which the flights of these cells depend."""
     plugged = sorted({state_of(p) for cell in cells if (p := flown_by(cell).plugin) is not None})
     state = software(
         twins=bool(plugged) or any(cell.twins for cell in cells),
@@ -397,8 +397,8 @@ def software_of(cells: Sequence[Cell]) -> str:
 def baseline(cell: Cell) -> Cell:
     """The same encounters without avoidance.
 
-    Delays and losses are reset, and so are intruders that merely fly their path: without avoidance they make
-    no difference, and equal baselines are flown only once.
+    Delays, losses and intruders that merely fly their path make no difference without avoidance. They are
+    reset, so that equal baselines are flown only once.
     """
     others = ("turning", "frozen", "crewed", "barometric", *missions.MISSIONS)
     turning = cell.intruder in others and cell.intruders > 0.0

@@ -1,4 +1,5 @@
-"""The command `ground-tools campaign`: flies thousands of encounters and reports what the law is worth."""
+"""The command `ground-tools campaign`: flies thousands of encounters and reports the performance of the
+law."""
 
 from __future__ import annotations
 
@@ -172,7 +173,7 @@ def _add_fences(command: argparse.ArgumentParser) -> None:
     command.add_argument("--seeds", default="1-2000", metavar="FROM-TO",
                          help="range of seeds, one flight each (default: 1-2000)")  # fmt: skip
     command.add_argument("--noisy", action="store_true", help="simulate the position error of GNSS")
-    command.add_argument("--outside", action="store_true", help="let the aircraft begin outside")
+    command.add_argument("--outside", action="store_true", help="let the aircraft begin outside the fence")
     command.add_argument(
         "--processes", type=int, metavar="N", help="worker processes (default: one per core)"
     )
@@ -322,7 +323,7 @@ def _check_combined(args: argparse.Namespace, cell: Cell) -> None:
 
 
 def _show(cell: Cell, report: dict[str, Any], words: Console) -> None:
-    """Print the report for people."""
+    """Print the report as text."""
     low, high = cell.delay_s
     r = report
     lines = [

@@ -30,11 +30,11 @@ WORLD = World()
 _MESSAGE_S = 1.0
 _TRIES = 400
 _OUT_M = 8.0
-"""Largest distance beyond a border at which a flight begins that begins outside."""
+"""Largest distance beyond a border for flights that begin outside."""
 
 
 class Encounter(msgspec.Struct, frozen=True, kw_only=True):
-    """One attack as it was drawn."""
+    """One drawn attack."""
 
     areas: tuple[FenceArea, ...]
     path: Trajectory
@@ -202,7 +202,7 @@ def _start(
 
 
 class Traffic:
-    """The neighbours that the aircraft receives, updated every second."""
+    """The neighbours that the aircraft receives; they are updated every second."""
 
     def __init__(self, rng: np.random.Generator, one: Encounter, fence: Floats) -> None:
         self._rng, self._one, self._fence = rng, one, fence
@@ -213,7 +213,7 @@ class Traffic:
         self._places, self._ways = np.zeros((self._count, 3)), np.zeros((self._count, 3))
 
     def heard(self, now_s: float, position: Floats, velocity: Floats) -> list[Neighbour]:
-        """The neighbours for a decision at a time, constructed from the aircraft's true state, NED."""
+        """The neighbours for a decision at a time, placed relative to the aircraft's true state, NED."""
         if now_s >= self._next_s and self._count:
             first = self._next_s == -math.inf
             self._next_s, passed = now_s + _MESSAGE_S, now_s - self._at_s

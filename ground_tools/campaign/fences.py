@@ -1,8 +1,8 @@
-"""Flown attacks on fences: whether the behaviour of the neighbours can make an aircraft cross its fence.
+"""Flies attacks on fences, to find whether the behaviour of neighbours can make an aircraft cross its fence.
 
 The vehicle is that of the campaign: it follows a velocity command with a lag and a limited acceleration. Some
-flights begin in a state from which no use of the acceleration limit stays inside. Their crossings are counted
-separately.
+flights begin in a state from which no manoeuvre within the acceleration limit stays inside. Their crossings
+are counted separately.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Row(msgspec.Struct, frozen=True):
     error_m: float
     """Largest horizontal navigation error."""
     further_m: float
-    """For a flight that begins outside: how much farther out it went than where it began."""
+    """For a flight that begins outside: how much farther out it went than its starting point."""
     back_s: float
     """For a flight that begins outside: time until it was inside; infinite if it never was."""
     could_stop: bool
@@ -53,7 +53,7 @@ class Row(msgspec.Struct, frozen=True):
 
     @property
     def over_m(self) -> float:
-        """Distance beyond a border in excess of the navigation error; 0 or less means none."""
+        """Distance beyond a border minus the navigation error; 0 or less means no crossing."""
         return self.crossed_m - self.error_m if self.crossed_m > 0.0 else 0.0
 
 
@@ -61,7 +61,7 @@ def fly(seed: int, *, noisy: bool = False, outside: bool = False) -> Row:
     """Draw and fly one attack.
 
     Args:
-        noisy: navigation has the campaign's GNSS error.
+        noisy: simulate the campaign's GNSS error.
         outside: the flight begins beyond a border, and ghosts push the aircraft further out.
     """
     rng = np.random.default_rng([seed, 11, noisy, outside])
@@ -147,7 +147,7 @@ def _avoidable(one: Encounter, fence: Floats, position: Floats, velocity: Floats
     """Whether accelerating in some direction at the limit for a time, and then stopping, stays inside.
 
     Args:
-        turns: number of durations that are tried; 1 tries only stopping at once.
+        turns: number of durations that are tried; with 1, only stopping at once is tried.
     """
     lag, step = WORLD.lag_s, WORLD.step_s
     longest = 1.5 * float(np.linalg.norm(velocity)) / one.limits.max_acceleration_mps2

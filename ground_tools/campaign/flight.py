@@ -60,19 +60,20 @@ _TURN_S = 4.0
 _TURN_RAD = math.radians(60.0)
 """Largest angle by which a turning aircraft turns away from its course to the path."""
 _BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S = 15.0, 5.0
-"""A loss of GNSS begins between these times before and after the middle of the flight."""
+"""A loss of GNSS begins at a random time from the first before to the second after the middle of the
+flight."""
 _FIT_AGAIN_S = 4.0
 """Time from the return of GNSS to the next command: the companion waits for a steady state and then takes
 control of the vehicle again."""
 
 
 class Mind(NamedTuple):
-    """What the companions of A aircraft remember, and the tables for one decision."""
+    """Memory of the companions of A aircraft, and working tables for one decision."""
 
     heard: Floats
     """(receiver, sender, MESSAGE_COLUMNS): the latest message."""
     got: Floats
-    """(receiver, sender): when it was received."""
+    """(receiver, sender): when the latest message was received."""
     turn_rps: Floats
     """(receiver, sender): turn rate as received."""
     pasts: Floats
@@ -94,21 +95,22 @@ class Mind(NamedTuple):
     neighbours: Floats
     """(2 A, columns of `kernels.Other`)."""
     senders: Integers
-    """(2 A,): which aircraft the rows of `neighbours` are."""
+    """(2 A,): index of the aircraft in each row of `neighbours`."""
     turn: Floats
-    """(A,): turn of a turning aircraft, rad; likewise its climb, m/s."""
+    """(A,): present turn of a turning aircraft away from its course, rad."""
     climb: Floats
-    """(A,)."""
+    """(A,): present climb of a turning aircraft, m/s."""
     notes: Floats
-    """(A, A + OWN_NOTES): memory of a law of `peers`: first of each other aircraft, then of its own."""
+    """(A, A + OWN_NOTES): memory of a law of `peers`: one entry about each aircraft, then entries about
+    itself."""
 
 
 Decide = Callable[..., k.Decision]
-"""A compiled decision function: from `mind`, the index of the aircraft, the number of rows of its table
-`mind.neighbours`, its `k.Own`, `k.Path` and fence, the table of settings of all aircraft, its own
-`k.Settings` and the workspace."""
+"""A compiled decision function. Its arguments are `mind`, the index of the aircraft, the number of rows in
+`mind.neighbours`, the aircraft's `k.Own`, `k.Path` and fence, the table of settings of all aircraft, the
+aircraft's `k.Settings`, and the workspace."""
 Loop = Callable[..., None]
-"""A compiled function with the arguments of `loop_of` but the first, which is the law that it flies."""
+"""A compiled loop, as `loop_of` makes it for a law."""
 OWN_NOTES = 6
 
 
@@ -140,8 +142,8 @@ def _new_mind(fleet: int, settings: Floats) -> Mind:
 
 _compiled = compiled()
 _inlined = compiled(forceinline=True)
-"""For functions that every step calls with a whole fleet. LLVM inlines them: with numba's own
-`inline="always"`, the loop of every law would take twice as long to compile."""
+"""Decorator for functions that every step calls with a whole fleet. LLVM inlines them. With numba's own
+`inline="always"`, the loop of each law would take twice as long to compile."""
 
 
 def fly(
@@ -193,7 +195,7 @@ def fly(
     land(kinds, mind.late_s, tally, pairs, result)
 
 
-@compiled(cache=False, inline="always")  # numba cannot cache a function that is given another one
+@compiled(cache=False, inline="always")  # numba cannot cache it: it takes a function
 def loop_of(
     decide: Decide,
     rng: np.random.Generator,
@@ -360,7 +362,7 @@ def _command(
     craft: Fleet,
     mind: Mind,
 ) -> None:
-    """Command the chosen velocity; an aircraft that turns at random flies another one."""
+    """Command the chosen velocity, or the random one of an aircraft that turns at random."""
     command, turn, climb = craft.command, mind.turn, mind.climb
     command[i, 0], command[i, 1], command[i, 2] = chosen
     if kinds[i] == TURNING or kinds[i] == FROZEN:
@@ -375,7 +377,7 @@ def _command(
 
 @_inlined
 def _receive(now: float, declared: float, i: int, craft: Fleet, mind: Mind) -> None:
-    """Take the messages that aircraft i has received into its memory."""
+    """Store the messages that aircraft i has received in its memory."""
     arrival, sent, heard = craft.arrival, craft.sent, mind.heard
     for j in range(arrival.shape[1]):
         for slot in range(arrival.shape[2]):

@@ -2,7 +2,7 @@
 
 Each generator draws a fleet that meets around (0, 0), 100 m above the ground, at `MEETING_S`. Flown as
 planned, nearly every draw loses separation. Planned speeds are 0.5 to 0.75 of the greatest speed, because an
-aircraft without speed in reserve cannot catch up with a timed path. The exceptions are S1 to S3, which are
+aircraft without a reserve of speed cannot catch up with a timed path. The exceptions are S1 to S3, which are
 those of `sitl_mocks.encounters.scenario`. A draw in which two aircraft begin or end nearer than `APART_M` is
 repeated.
 """

@@ -23,7 +23,7 @@ from ground_tools.campaign.world import Conditions
 
 COLLISION_M = 2.0
 AWAY_M = 15.0
-"""Farther than this from the timed point counts as away from the path."""
+"""Distance from the timed point beyond which an aircraft counts as away from its path."""
 # Entries of a flight's `result`.
 (
     F_SEPARATION,  # least distance of any pair, m
@@ -42,7 +42,7 @@ AWAY_M = 15.0
     F_FENCE,  # largest distance beyond a fence, m
     FLIGHT_ENTRIES,
 ) = range(15)
-# Counts of decisions: all, those that could not keep every half-space, those that began a conflict.
+# Counts of decisions: all; those that could not keep every half-space; those that began a conflict.
 D_ALL, D_INFEASIBLE, D_MANOEUVRES, DECISION_ENTRIES = range(4)
 # Entries of a pair: least distance (m); 1 if an avoiding aircraft of the pair was in conflict with the other.
 P_SEPARATION, P_ALERT, PAIR_ENTRIES = range(3)
@@ -54,7 +54,7 @@ class Log(NamedTuple):
     time_s: Floats
     """(D, A)."""
     position: Floats
-    """(D, A, 3): own position, as the aircraft knows it; likewise the velocity."""
+    """(D, A, 3): own position as the aircraft knows it; `velocity` likewise."""
     velocity: Floats
     """(D, A, 3)."""
     wanted: Floats
@@ -62,7 +62,7 @@ class Log(NamedTuple):
     flown: Floats
     """(D, A, 3): velocity flown, which for an aircraft that avoids is the command."""
     feasible: Floats
-    """(D, A): 0 or 1; likewise the next two."""
+    """(D, A): 0 or 1; `conflict` and `recovering` likewise."""
     conflict: Floats
     """(D, A)."""
     recovering: Floats
@@ -70,12 +70,13 @@ class Log(NamedTuple):
     late_s: Floats
     """(D, A): delay of the path."""
     message_s: Floats
-    """(D, A, A): when the message was sent that the decision knew of each other aircraft; NaN: none. On the
-    diagonal: that of the aircraft's own latest message."""
+    """(D, A, A): time at which the latest message of each other aircraft that the decision used was sent;
+    NaN: none. On the diagonal: the aircraft's own latest message."""
     others: Floats
-    """(D, A, A, columns of `kernels.Other`): that message; on the diagonal only position and velocity."""
+    """(D, A, A, columns of `kernels.Other`): the content of that message; on the diagonal only position and
+    velocity."""
     views: Floats
-    """(D, A, A, columns of `kernels.Seen`): what the decision said of each other aircraft."""
+    """(D, A, A, columns of `kernels.Seen`): the decision's report on each other aircraft."""
 
 
 class Tally(NamedTuple):
@@ -90,7 +91,8 @@ class Tally(NamedTuple):
     gap: Floats
     """(A,): distance of an avoiding aircraft from its timed point."""
     away_since: Floats
-    """(A,): since when the aircraft is farther than `AWAY_M` from its timed point; infinite if it is not."""
+    """(A,): time since which the aircraft is farther than `AWAY_M` from its timed point; infinite if it is
+    not."""
     way: Floats
     """(2,): distance flown and distance planned, summed over all aircraft."""
     least2: Floats
@@ -104,7 +106,7 @@ _inlined = compiled(forceinline=True)
 
 
 def new_log(fleet: int, decisions: int = 0) -> Log:
-    """A log for so many decisions of each aircraft."""
+    """An empty log for the given number of decisions of each aircraft."""
     pairs = decisions, fleet, fleet
     return Log(
         *(np.zeros((decisions, fleet, *more)) for more in ((), (3,), (3,), (3,), (3,), (), (), (), ())),
@@ -294,7 +296,7 @@ def write_down(
     for n in range(count):
         j = senders[n]
         if n > 0 and senders[n - 1] == j:
-            continue  # the same aircraft at the place that its signal strength points to
+            continue  # second row of the same aircraft, at the position that its signal strength suggests
         log.message_s[d, i, j] = heard[i, j, M_TIME]
         for c in range(k.OTHER_COLUMNS):
             log.others[d, i, j, c] = neighbours[n, c]

@@ -1,8 +1,8 @@
-"""The received power of each message, and what the receiver makes of it, in compiled code.
+"""The received power of each message, and the receiver's check of it, in compiled code.
 
 The power follows the channel model's log-distance law with shadowing of the link and of the message. It is
-measured at the time of reception: what delays a message happens before it is sent. Receivers weigh it with
-the companion's own function (`companion.avoidance.kernels.powers`).
+measured at the time of reception, because the delay of a message arises before it is sent. Receivers weigh it
+with the companion's own function (`companion.avoidance.kernels.powers`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _CHANNEL: Final = ChannelParameters()
 _AT_1M_DBM: Final = _CHANNEL.wifi.transmit_power_dbm - _CHANNEL.propagation.loss_at_1m_db
 _SLOPE_DB: Final = 10.0 * _CHANNEL.propagation.exponent
 _NEAREST_M: Final = 0.1
-# The result of `kernels.suspicion` for a sender, and whether its ratio was ever so high that it is flagged.
+# The result of `kernels.suspicion` for a sender, and whether its ratio was ever high enough to flag it.
 S_RATIO, S_BESIDE, S_NORTH, S_EAST, S_FLAGGED, SUSPICION_COLUMNS = range(6)
 
 _compiled = compiled()
@@ -46,7 +46,7 @@ class Powers(NamedTuple):
     link_db: Floats
     """(A, A): power of a sender and shadowing of the link, relative to their means."""
     log: Floats
-    """(A, A, HYPOTHESES): see `kernels.note_power`; likewise the next two."""
+    """(A, A, HYPOTHESES): see `kernels.note_power`, also for `means` and `covariance`."""
     means: Floats
     """(A, A, 2, HYPOTHESES)."""
     covariance: Floats
@@ -58,7 +58,7 @@ class Powers(NamedTuple):
 
 
 def unmeasured(rng: np.random.Generator, world: Conditions, fleet: int) -> Powers:
-    """Powers before the first message; draws those of senders and links."""
+    """State before the first message. Draws the powers of senders and the shadowing of links."""
     size = fleet if world.signal != 0.0 else 0
     sender_db = world.sender_db * rng.standard_normal(size)
     link_db = world.link_db * rng.standard_normal((size, size))
@@ -116,7 +116,7 @@ def measure_powers(
     Args:
         rng: source of the shadowing of messages.
         heard: shape (receiver, sender, MESSAGE_COLUMNS): latest message that each receiver knows. Before the
-            first one nothing is weighed.
+            first message nothing is weighed.
     """
     now, before = world.start_s + tick * world.step_s, world.start_s + (tick - 1) * world.step_s
     arrival = craft.arrival

@@ -1,9 +1,9 @@
 """A flight of a campaign as a run folder, for `ground-tools inspect` and `picture`.
 
-The folder records the compiled flight itself: the true positions, what each decision saw and what was
-commanded. Only the law flew, not the whole companion. The records therefore contain no authority state, and
+The folder records the compiled flight itself: the true positions, the input of each decision and the
+commands. Only the law flew, not the whole companion. The records therefore contain no authority state, and
 `companion replay` has nothing to compare with them. A message counts as received at the first decision that
-knew it.
+used it.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ from ground_tools.inspect.read.truth import HEADER, ORIGIN
 from sitl_mocks.encounters.lockstep import UTC_AT_START_S
 
 MOST_AIRCRAFT = 50
-"""Largest number of aircraft. The record of what each decision saw of each other aircraft grows with its
-square."""
+"""Largest number of aircraft. The record of what each decision saw of each other aircraft grows with the
+square of this number."""
 _TRANSPORT = "wifi"
 _QUIET_LOG_S = 1.0
-"""Interval at which decisions are recorded. As in a companion's record, every decision that sees a conflict
-or recovers is recorded too."""
+"""Interval at which decisions without a conflict are recorded. As in a companion's record, every decision in
+conflict or recovery is recorded."""
 
 
 def write(root: Path, cell: Cell, seed: int, utc_s: float) -> Path:
@@ -138,7 +138,7 @@ def _write_truth(path: Path, look: Look, i: int) -> None:
 
 
 def _config(look: Look, i: int, name: str) -> Config:
-    """The configuration that a companion aboard this aircraft would have."""
+    """The configuration that a companion on this aircraft would have."""
     avoidance, world = look.avoidance, look.world
     if look.kinds[i] != vehicles.AVOIDS:
         avoidance = msgspec.structs.replace(avoidance, law="none")
@@ -210,7 +210,7 @@ def _decision(own: outcome.Log, point: Vec3, called: list[str]) -> Decision:
 
     Args:
         own: the decision's entries of the log, without their first two axes.
-        point: where the path was.
+        point: the path's point at that time.
     """
     tracks = []
     for j in np.flatnonzero(np.isfinite(own.views[:, 0])).tolist():
@@ -247,7 +247,7 @@ def _vec(v: Floats) -> Vec3:
 
 
 def _messages(log: outcome.Log) -> dict[int, list[tuple[int, Location]]]:
-    """The messages that are new at each decision, by the number of the decision: sender and Location.
+    """New messages at each decision, by the index of the decision: sender and Location.
 
     Args:
         log: the log of one aircraft, without the axis of the aircraft.

@@ -1,4 +1,4 @@
-"""Flying those flights of cells that are missing, and the reported results of one cell."""
+"""Flies the missing flights of cells, and computes the reported results of one cell."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ground_tools.common.workers import in_parallel
 _AIRCRAFT_AT_ONCE = 500
 """Number of aircraft that a worker flies before it returns their results."""
 _TWINS_LONGER = 50
-"""Duration of computing a flight with twins, relative to other flights."""
+"""Computing time of a flight with twins, relative to other flights."""
 
 Part = tuple[Cell, list[int]]
 """One unit of work for a worker: some seeds of a cell."""
@@ -86,7 +86,7 @@ def fly_missing(
 
 
 def work_of(args: argparse.Namespace, words: Console) -> Work:
-    """The function that flies: with processes of this machine or on a cluster."""
+    """The function that runs the work: in processes on this machine, or on a cluster."""
     if args.ray is None:
         processes = processes_of(args.processes)
 
@@ -135,7 +135,8 @@ def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
         "unavoided_median_min_separation_m": campaign.median([row.separation_m for row in unavoided]),
         "worst_seed": min(rows, key=lambda row: row.separation_m).seed,
         "risk_ratio": losses / len(rows) / share if share else None,
-        # Only the uncertainty of the share with avoidance: the share without is near 1 and known far better.
+        # Only the share with avoidance has an uncertainty here: the share without is near 1 and known far
+        # better.
         "risk_ratio_interval": [low / share, high / share] if share else None,
         "median_max_deviation_m": campaign.median([row.deviation_m for row in rows]),
         "median_away_s": campaign.median([row.away_s for row in rows]),

@@ -15,7 +15,7 @@ from ground_tools.campaign.vehicles import INTRUDERS, TWINS
 
 _NOTHING: Final = "-"
 FULL_MPS: Final = 26.6
-"""Greatest speed for which the generators plan up to 20 m/s, three quarters of it."""
+"""Greatest speed for which the generators plan up to 20 m/s, which is three quarters of it."""
 _ENCOUNTERS: Final = {"fence": ("head-on", "overtaking"), "layer": ("lift", "S2")}
 """Encounters for the worlds that do not affect every encounter."""
 DELAYS_S: Final = ((0.0, 1.0), (1.0, 2.0), (2.0, 3.0))
@@ -32,7 +32,7 @@ def _generators() -> list[Cell]:
 
 
 def _laws() -> list[Cell]:
-    """The reference's sets S1 to S3, flown by both laws with each delay; then harder conditions."""
+    """The sets of encounters S1 to S3, flown by both laws with each delay; then harder conditions."""
     rows = [
         Cell(generator=name, aircraft=5, law=law, delay_s=delay_s)
         for law in LAWS
@@ -61,7 +61,7 @@ def _fast() -> list[Cell]:
     return rows + [
         Cell(generator=name, aircraft=5, speed_mps=FULL_MPS, delay_s=delay_s, reserve=False)
         for name in NAMES
-        if name != "lift"  # only climbs and descends, far below any limit
+        if name != "lift"  # this generator only climbs and descends, far below any speed limit
     ]
 
 
@@ -87,7 +87,7 @@ def _twins() -> list[Cell]:
 
 
 def _twins_lost() -> list[Cell]:
-    """The same with four of five messages lost, so that one aircraft may be mistaken for the other."""
+    """Twins with four of five messages lost, so that one aircraft may be mistaken for the other."""
     return [_twin(kind, DELAYS_S[0], 0.8) for kind in TWINS]
 
 
@@ -113,16 +113,16 @@ class Line(msgspec.Struct, frozen=True, kw_only=True):
     found: dict[str, Any]
     """The result of `runs.summary`."""
     first: Row | None = None
-    """The flight of the first seed, so that it can be compared with one of other software."""
+    """The flight of the first seed, for comparison with a flight by other software."""
 
 
 class Kept(msgspec.Struct, frozen=True, kw_only=True):
     """A table as it is stored in a file."""
 
     software: str
-    """Digest of the law and the world that flew it (`cells.software`)."""
+    """Digest of the software that flew the table (`cells.software`)."""
     seeds: tuple[int, int]
-    """First and last seed."""
+    """First and last seed of the flights."""
     lines: tuple[Line, ...]
 
 

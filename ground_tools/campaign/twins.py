@@ -4,7 +4,7 @@ They use the companion's track code in the campaign's world.
 
 Vehicles, errors, messages and their delays come from `vehicles`, draw for draw. Here each aircraft receives
 frames (Basic ID and Location, from a radio address) with the companion's `Traffic` and decides with its
-`Law`. Neither of them knows which aircraft is a twin of which. Every aircraft also receives its own frames,
+`Law`. Neither knows which aircraft share an identity. Every aircraft also receives its own frames,
 as a second receiver would. Such a flight takes about fifty times as long as the compiled one.
 """
 
@@ -98,14 +98,14 @@ def fly(
 
 
 def check(law: str, intruder: str | None, signal: bool, dark: bool) -> None:
-    """Check that the law of a plug-in can fly an encounter.
+    """Check that a plug-in's law can fly an encounter.
 
     Args:
         intruder: kind of the intruders; None: there are none.
         signal, dark: whether signal strength is weighed, and whether aircraft lose their GNSS.
 
     Raises:
-        ConfigError: it cannot.
+        ConfigError: the law cannot fly it.
     """
     known = ("blind", *vehicles.TWINS, *missions.MISSIONS)
     if signal or dark or (intruder is not None and intruder not in known):
@@ -127,7 +127,7 @@ class Core:
         """Process the frames received since the last decision.
 
         Args:
-            clock_s: how far the aircraft's clock is ahead.
+            clock_s: how far the aircraft's clock is ahead of the true time.
         """
         for frame in frames:
             self.traffic.hear(frame, now, clock_s, FRAME, 0.0)
@@ -147,7 +147,7 @@ class Core:
 
 
 class Air:
-    """Frames that have been sent and not yet received."""
+    """Frames that were sent and not yet received."""
 
     def __init__(self, kinds: Floats, world: Conditions) -> None:
         self._kinds = kinds.tolist()
@@ -159,7 +159,7 @@ class Air:
         self._senders: dict[tuple[float | None, float | None], int] = {}
 
     def hear(self, sender: int, slot: int, message: list[float], now: float) -> None:
-        """Take over a message that `vehicles.send` wrote."""
+        """Add a message that `vehicles.send` wrote."""
         at, north, east, down, *velocity = message
         lat, lon, alt = FRAME.to_geodetic(north, east, down)
         location = Location(

@@ -22,7 +22,7 @@ from ground_tools.campaign.world import Conditions
 # Kinds of aircraft. AVOIDS flies the avoidance law; no other kind avoids. BLIND sends and flies its path;
 # TURNING also turns and climbs at random; FROZEN turns likewise, but always sends its first velocity. SILENT
 # is received only at short range. LIAR sends a wrong position. CREWED is crewed traffic that is received by
-# ADS-B with a geometric altitude; BAROMETRIC is the same with an altitude that says nothing within 300 m.
+# ADS-B with a geometric altitude; BAROMETRIC is the same with a pressure altitude, which may be off by 300 m.
 # TWIN flies its path and sends with the identity of the second aircraft, CLONE also from its radio address;
 # OWN_TWIN and OWN_CLONE do so with those of the aircraft that receives the message. These last four are flown
 # by `twins.fly`.
@@ -39,7 +39,7 @@ M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
 
 _compiled = compiled()
 _inlined = compiled(forceinline=True)
-"""For functions that every step calls with a whole fleet."""
+"""Decorator for functions that every step calls with a whole fleet."""
 
 
 class Fleet(NamedTuple):
@@ -61,7 +61,7 @@ class Fleet(NamedTuple):
     gust: Floats
     """(A, 3), m/s^2."""
     clock: Floats
-    """(A,): how far the aircraft's clock is ahead."""
+    """(A,): how far the aircraft's clock is ahead of the true time."""
     phase: Integers
     """(A,): offset of the message schedule: steps between a message and the flight's first step."""
     frozen: Floats
@@ -75,7 +75,7 @@ class Fleet(NamedTuple):
 
 
 def on_the_ground(fleet: int, world: Conditions) -> Fleet:
-    """A fleet whose arrays are still zero and that has no message under way."""
+    """A fleet whose arrays are still zero and that has no message in transit."""
     slots = int(world.delay_high_s / (world.message * world.step_s)) + 2
     return Fleet(
         position=np.zeros((fleet, 3)),

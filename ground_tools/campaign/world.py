@@ -10,10 +10,10 @@ from msgspec import Meta
 
 
 class Conditions(NamedTuple):
-    """A `World` and the period of the law, in the form that the compiled code takes: numbers of one type."""
+    """A `World` and the period of the law in the form that compiled code takes: all fields are numbers."""
 
     start_s: float
-    """On the paths' clock, like `end_s`."""
+    """Start of the flight on the paths' clock; `end_s` is its end."""
     end_s: float
     step_s: float
     period: float
@@ -30,27 +30,28 @@ class Conditions(NamedTuple):
     declared_m: float
     """Position error that every aircraft declares of itself."""
     quantised: float
-    """0 or 1."""
+    """0 or 1: whether messages are quantised as in Remote ID."""
     lag_s: float
     acceleration_mps2: float
     gust_mps2: float
     gust_memory_s: float
     own_sigma_mps: float
-    """Error of the own velocity for each axis; its correlation time is that of the position's error."""
+    """Error of the own velocity, one standard deviation for each axis; its correlation time is that of the
+    position error."""
     clock_s: float
     floor_down_m: float
     ceiling_down_m: float
-    """NED down."""
+    """NED down coordinate of the ceiling."""
     silent_m: float
     """Range within which a silent aircraft is received."""
     lie_m: float
     """Error of the position that a liar sends."""
     blackout_s: float
-    """How long one aircraft has no GNSS."""
+    """Duration for which one aircraft has no GNSS."""
     signal: float
     """0 or 1: whether receivers measure the power of messages."""
     sender_db: float
-    """Standard deviation of a sender's power; likewise the shadowing of a link and that of a message."""
+    """Standard deviation of a sender's power. `link_db` and `message_db` are those of the shadowing."""
     link_db: float
     message_db: float
 
@@ -74,20 +75,20 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     lag_s: Annotated[float, Meta(gt=0)] = 0.5
     acceleration_mps2: Annotated[float, Meta(gt=0)] = 2.5
     gust_mps2: Annotated[float, Meta(ge=0)] = 0.0
-    """Acceleration that gusts cause on a vehicle that holds its velocity, one standard deviation for each
-    axis. Steady wind is not modelled: the vehicle compensates it."""
+    """Acceleration by gusts on a vehicle that holds its velocity, one standard deviation for each axis.
+    Steady wind is not modelled, because the vehicle compensates for it."""
     gust_memory_s: Annotated[float, Meta(gt=0)] = 3.0
     own_sigma_mps: Annotated[float, Meta(ge=0)] = 0.0
     clock_s: Annotated[float, Meta(ge=0)] = 0.0
-    """Largest error of a clock, either way. Each aircraft's error is drawn once."""
+    """Largest clock error, either way. Each aircraft's error is drawn once."""
     floor_m: float = -math.inf
     """Height (the negative of NED down) in the local frame of the generators; unlimited by default."""
     ceiling_m: float = math.inf
     silent_m: Annotated[float, Meta(ge=0)] = 100.0
     lie_m: Annotated[float, Meta(ge=0)] = 50.0
     blackout_s: Annotated[float, Meta(ge=0)] = 0.0
-    """How long one avoiding aircraft has no GNSS, around the middle of the flight. Meanwhile it sends
-    nothing, decides nothing and stands still."""
+    """Duration for which one avoiding aircraft has no GNSS, around the middle of the flight. During this time
+    it sends nothing, decides nothing and stands still."""
     signal: bool = False
     """Whether receivers measure the power of messages and weigh it (`companion.avoidance.kernels.powers`)."""
     sender_db: Annotated[float, Meta(ge=0)] = 4.0
@@ -98,7 +99,7 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Standard deviation of the shadowing of a message; 6 dB together with that of the link."""
 
     def conditions(self, period_s: float) -> Conditions:
-        """The same for the compiled code.
+        """The same conditions for compiled code.
 
         Args:
             period_s: time between two decisions of the law.

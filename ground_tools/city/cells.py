@@ -44,9 +44,9 @@ SINGLE: Final[dict[str, Action]] = {BLE4: (10, 0, 0), BLE5: (0, 10, 0), "wifi": 
 """All aircraft on one transport, at the highest rate. BLE 4 and BLE 5 alone are legal nowhere."""
 TRANSPORTS: Final = (*SINGLE, "fixed", "rule", "policy")
 _BLUETOOTH: Final = 0.35
-"""Foreign load of Bluetooth as a share of that of Wi-Fi, because it hops; as in `paper closed-loop`."""
+"""Background load of Bluetooth as a share of that of Wi-Fi: Bluetooth hops. As in `paper closed-loop`."""
 _PERFECT_M: Final = 2500.0
-"""How far aircraft with perfect information know of others."""
+"""Range within which an aircraft with perfect information knows the others, m."""
 
 
 class City(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -59,20 +59,20 @@ class City(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Time in that file at which the run begins."""
     duration_s: Annotated[float, Meta(ge=10, le=86_400)] = 600.0
     settle_s: Annotated[float, Meta(ge=0)] = 60.0
-    """What happens before this is not counted."""
+    """Simulated time at which counting begins."""
     law: Literal["dmuca", "none"] = "dmuca"
     knows: Literal["radio", "given", "perfect"] = "radio"
-    """radio: what the channel equations let through. given: messages with `delay_s` and `loss`. perfect: the
-    true state of all within 2.5 km."""
+    """radio: messages by the channel equations. given: messages with `delay_s` and `loss`. perfect: the true
+    state of all aircraft within 2.5 km."""
     transports: str = "policy"
     """One of `TRANSPORTS`: one transport for all, the best fixed legal set, the rule, or the policy."""
     region: Literal["none", "us", "eu"] = "none"
     load: Annotated[float, Meta(ge=0, lt=1)] = 0.0
-    """Share of time for which foreign transmissions fill the Wi-Fi channel."""
+    """Share of time for which background traffic fills the Wi-Fi channel."""
     delay_s: tuple[float, float] = (0.0, 1.0)
     loss: Annotated[float, Meta(ge=0, le=1)] = 0.0
     reach_m: Annotated[float, Meta(gt=0)] = 2000.0
-    """With `given`: how far messages reach."""
+    """Range of messages, with `knows` "given"."""
 
     @property
     def name(self) -> str:
@@ -83,21 +83,21 @@ class City(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """Outcome of one run. Values that "count" leave out its first `settle_s`."""
+    """Outcome of one run. What "counts" happened after its first `settle_s`."""
 
     seed: int
     flights: int
-    """Flights of the demand: the sum of the next four numbers."""
+    """Flights of the demand: the sum of the next four fields."""
     arrived: int
     in_the_air: int
     """Flights in the air at the end of the run."""
     waiting: int
-    """Flights that were due, but whose place of departure was not free."""
+    """Flights that were due, but still waited for their departure at the end."""
     not_due: int
     slots: int
     """Most aircraft that could be in the air at the same time."""
     flight_h: float
-    """Hours of flight that count."""
+    """Flight hours that count."""
     losses: int
     """Losses of separation that count: a pair that comes nearer than `measure.SEPARATION_M`."""
     cruise_losses: int
@@ -105,15 +105,15 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     collisions: int
     """Losses that count and in which the pair came nearer than `COLLISION_M`."""
     least_m: float | None
-    """Least distance of any pair; None: none was ever near another."""
+    """Least distance of any pair; None: no two aircraft were ever near each other."""
     deviation_m: float
-    """Mean distance from the timed point."""
+    """Mean distance of an aircraft from the timed point of its path."""
     largest_deviation_m: float
-    """Median over the flights of their largest distance from it."""
+    """Median, over the flights, of the largest distance from the timed point."""
     late_s: float
-    """Mean delay of the paths."""
+    """Mean delay of the paths: how much later than planned the timed point is."""
     waited_s: float
-    """Mean time for which departures waited."""
+    """Mean waiting time before departure."""
     infeasible: float
     """Share of decisions that could not keep every half-space."""
     conflict: float
@@ -123,17 +123,19 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     age_s: float | None
     """Mean age of the information of aircraft within `awareness.WITHIN_M`; None without messages."""
     old: float | None
-    """Share of that information older than `awareness.OLD_S`."""
+    """Share of the information in `age_s` that is older than `awareness.OLD_S`."""
     unheard: float | None
-    """Share of the pairs within that distance of which one does not know the other."""
+    """Share of the ordered pairs within `awareness.WITHIN_M` in which the first aircraft has no track of the
+    second."""
     wifi_load: float | None
-    """Mean Wi-Fi load that aircraft sense, in shares of time; above 1 not all beacons find room."""
+    """Mean Wi-Fi load that aircraft sense, as a share of time. Above 1, the channel is overloaded."""
     ble4: float
-    """Mean Locations per second of an aircraft on this transport; likewise the next two."""
+    """Mean number of Location messages that an aircraft sends per second on BLE 4; `ble5` and `wifi`
+    likewise."""
     ble5: float
     wifi: float
     refused: float
-    """Share of decisions in which the fall-back was used instead of the policy."""
+    """Share of transport decisions in which the fall-back was used instead of the policy."""
     given_up: int
     """Tracks that were given up because a table was full."""
     turned_away: int
@@ -143,14 +145,14 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def region_of(city: City) -> Region:
-    """The region whose law is kept."""
+    """The region whose Remote ID rules apply."""
     if city.region == "none":
         return Region()
     return decode_toml(shipped(f"config/regions/{city.region}.toml"), Region)
 
 
 def channel_of(city: City) -> ChannelParameters:
-    """The channel, with the foreign load."""
+    """The channel parameters, with the background load."""
     found = load_parameters(shipped(CHANNEL))
     if city.load == 0.0:
         return found
@@ -161,10 +163,10 @@ def channel_of(city: City) -> ChannelParameters:
 
 
 def chooser_of(city: City, slots: int) -> Chooser:
-    """What chooses the transports.
+    """The chooser of the transports.
 
     Raises:
-        ConfigError: the word is unknown, or no set is legal in the region.
+        ConfigError: `City.transports` is unknown, or no set is legal in the region.
     """
     region, most = region_of(city), TrafficConfig().max_tracks
     if city.transports in SINGLE:
@@ -183,7 +185,7 @@ def chooser_of(city: City, slots: int) -> Chooser:
 
 
 def rates_of(city: City) -> set[int]:
-    """Locations per second that may be used."""
+    """Rates that may be used, in Location messages per second."""
     return {rate for action in (*SET_ACTIONS, *FIXED_SETS, *SINGLE.values()) for rate in action if rate}
 
 
@@ -246,7 +248,7 @@ def fly(city: City, seed: int) -> tuple[Row, Result]:
 
 
 class Watch:
-    """Ages and loads, summed up after each part of a run."""
+    """Sums of ages and loads, sampled after each part of a run."""
 
     def __init__(self, run: Simulation, radios: list[AnalyticRadio]) -> None:
         self._run, self._radios = run, radios
@@ -255,7 +257,7 @@ class Watch:
         self.rates = np.zeros(3)
 
     def look(self) -> None:
-        """Add what is so now."""
+        """Add the present ages, loads and rates to the sums."""
         state = self._run.state
         flying = state.air.flight >= 0
         self.aircraft += float(flying.sum())
@@ -320,7 +322,7 @@ def _mean(values: Floats) -> float:
 
 
 ROOTS: Final = ("ground_tools.city.cells",)
-"""Modules that decide a result."""
+"""Modules on which the results depend."""
 
 
 def kept(folder: Path, city: City) -> Kept[Row]:

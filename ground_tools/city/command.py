@@ -1,4 +1,5 @@
-"""The command `ground-tools city`: flies many aircraft over a city and reports what became of them."""
+"""The command `ground-tools city`: flies many aircraft over a city and reports losses, delays and channel
+load."""
 
 from __future__ import annotations
 
@@ -35,18 +36,18 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.epilog = f"example: {EXAMPLE}"
     add, city, drawn = command.add_argument, City(), Demand()
     add("--pattern", choices=PATTERNS, default=drawn.pattern,
-        help=f"who flies where (default: {drawn.pattern})")  # fmt: skip
+        help=f"traffic pattern (default: {drawn.pattern})")  # fmt: skip
     add(
         "--density",
         type=float,
         default=drawn.per_km2,
         metavar="N",
-        help=f"aircraft in the air on a square kilometre, as planned (default: {drawn.per_km2:g})",
+        help=f"planned aircraft in the air per square kilometre (default: {drawn.per_km2:g})",
     )
     add("--size", type=float, nargs=2, default=(10.0, 10.0), metavar=("KM", "KM"),
-        help="the city from south to north and from west to east (default: 10 10)")  # fmt: skip
+        help="size of the city from south to north and from west to east (default: 10 10)")  # fmt: skip
     add("--heights", choices=("layers", "free"), default=drawn.heights,
-        help=f"heights by direction of flight, or any (default: {drawn.heights})")  # fmt: skip
+        help=f"layers by direction of flight, or free heights (default: {drawn.heights})")  # fmt: skip
     add("--speed", type=float, default=drawn.speed_mps, metavar="M/S",
         help=f"greatest speed of each aircraft (default: {drawn.speed_mps:g})")  # fmt: skip
     add(
@@ -60,18 +61,18 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     add("--minutes", type=float, default=city.duration_s / 60.0, metavar="N",
         help=f"length of a run (default: {city.duration_s / 60.0:g})")  # fmt: skip
     add("--settle", type=float, default=city.settle_s, metavar="S",
-        help=f"count what happens from this second on (default: {city.settle_s:g})")  # fmt: skip
+        help=f"simulated time at which counting begins (default: {city.settle_s:g})")  # fmt: skip
     add("--law", choices=("dmuca", "none"), default=city.law,
-        help=f"the companion's law, or nobody avoids (default: {city.law})")  # fmt: skip
+        help=f"avoidance law: the companion's, or none (default: {city.law})")  # fmt: skip
     add("--knows", choices=("radio", "given", "perfect"), default=city.knows,
-        help="how aircraft know of each other: by the channel equations, by messages with --delay and "
-        f"--loss, or perfectly (default: {city.knows})")  # fmt: skip
+        help="how aircraft learn of each other: by the channel equations, by messages with --delay and "
+        f"--loss, or with perfect information (default: {city.knows})")  # fmt: skip
     add("--transports", choices=TRANSPORTS, default=city.transports,
-        help=f"who chooses the transports (default: {city.transports})")  # fmt: skip
+        help=f"how transports are chosen (default: {city.transports})")  # fmt: skip
     add("--region", choices=("none", "us", "eu"), default=city.region,
-        help=f"whose law the sets of transports keep (default: {city.region})")  # fmt: skip
+        help=f"region whose rules limit the sets of transports (default: {city.region})")  # fmt: skip
     add("--load", type=float, default=city.load, metavar="SHARE",
-        help="share of time for which others fill the Wi-Fi channel, 0 to 1 (default: 0)")  # fmt: skip
+        help="share of time of background traffic on the Wi-Fi channel, below 1 (default: 0)")  # fmt: skip
     add(
         "--delay",
         type=float,
@@ -83,7 +84,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     add("--loss", type=float, default=city.loss, metavar="SHARE",
         help="with --knows given: share of messages that are lost, 0 to 1 (default: 0)")  # fmt: skip
     add("--reach", type=float, default=city.reach_m, metavar="M",
-        help=f"with --knows given: how far messages reach (default: {city.reach_m:g})")  # fmt: skip
+        help=f"with --knows given: range of messages (default: {city.reach_m:g})")  # fmt: skip
     add("--seeds", default="1-1", metavar="FROM-TO", help="range of seeds, one run each (default: 1-1)")
     add(
         "--out",
@@ -117,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def city_of(args: argparse.Namespace) -> City:
-    """The runs that the options ask for.
+    """The cell that the options describe.
 
     Raises:
         ConfigError: an option is wrong.
@@ -168,7 +169,7 @@ def city_of(args: argparse.Namespace) -> City:
 def fly_missing(
     city: City, seeds: Sequence[int], folder: Path | None, jobs: int, words: Console
 ) -> tuple[list[Row], int]:
-    """Fly the seeds that the folder does not hold. Returns the rows of all, in their order, and the number
+    """Fly the seeds that are not in the folder. Returns the rows of all seeds, in their order, and the number
     flown.
 
     Args:
@@ -208,7 +209,7 @@ def _fly(city: City, folder: Path | None, seed: int) -> Row:
 
 
 def summary(rows: Sequence[Row]) -> dict[str, Any]:
-    """What is reported of some runs: sums of what is counted, and means of shares and times."""
+    """The reported figures of some runs: sums of counts, and means of shares and times."""
     hours = sum(row.flight_h for row in rows)
     found: dict[str, Any] = {"runs": len(rows)}
     for name, kind in Row.__annotations__.items():
@@ -227,7 +228,7 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def lines(city: City, found: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """The report as lines of text."""
     heard = city.transports if city.knows == "radio" else city.knows
     text = [
         f"{city.demand.pattern if city.flights is None else city.flights}, law {city.law}, {heard}: "

@@ -1,6 +1,6 @@
 """numba compilation of the city's functions, which call those of the campaign and of the law.
 
-Their cache folder depends on the state of all files whose functions are compiled into them.
+The name of the cache folder contains a digest of all files whose functions are compiled into them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdige
 
 
 def compiled(**options: Any) -> Callable[[Function], Function]:
-    """`ground_tools.campaign.compiled.compiled` with a cache for each state of the city's files, too."""
+    """`ground_tools.campaign.compiled.compiled` with a separate cache for each state of the city's files."""
 
     def decorate(function: Function) -> Function:
         made: Any = campaign.compiled(cache=False, **options)(function)

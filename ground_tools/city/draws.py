@@ -1,4 +1,4 @@
-"""When messages arrive: draws by the chances that `reception` computed, in compiled code."""
+"""Draws when messages arrive, from the probabilities that `reception` computed, in compiled code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ground_tools.city.tables import Links
 
 
 class Frames(NamedTuple):
-    """The frames with which a message is repeated until the next one."""
+    """Timing of the frames that repeat a message until the next one."""
 
     period_s: float
     """T_GNSS: time between two messages."""

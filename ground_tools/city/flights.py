@@ -1,4 +1,4 @@
-"""What is to be flown: many timed paths, each with its time of departure."""
+"""The planned flights: many timed paths, each with its time of departure."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Flights(NamedTuple):
     times: Floats
     """(P,): times of the points, rising within a flight from 0 at its departure."""
     points: Floats
-    """(P, 3)."""
+    """(P, 3): the points, NED, m."""
     settings: Floats
-    """(F, fields of `kernels.Settings`): settings of its law."""
+    """(F, fields of `kernels.Settings`): settings of the avoidance law."""
     purpose: Integers
     """(F,): index into `demand.PURPOSES`."""
 
@@ -43,11 +43,11 @@ class Flights(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """A requested flight, before it has a number and settings of its law."""
+    """A requested flight, before it gets a number and the settings of its avoidance law."""
 
     depart_s: float
     times: Floats
-    """(K,): from 0."""
+    """(K,): seconds after departure, rising from 0."""
     points: Floats
     """(K, 3): NED, m."""
     speed_mps: float
@@ -89,7 +89,7 @@ def flights_of(wishes: Sequence[Wish], avoidance: AvoidanceConfig) -> Flights:
 
 
 def largest_number_in_the_air(flights: Flights) -> int:
-    """How many aircraft are in the air at the same time at most, if all fly as planned."""
+    """Greatest number of aircraft in the air at the same time if all fly as planned."""
     if not len(flights.depart_s):
         return 0
     at = np.concatenate([flights.depart_s, flights.end_s])

@@ -1,4 +1,4 @@
-"""Which track a full table gives up: `companion.traffic.eviction` in compiled code, if all sound alike.
+"""Which track a full table gives up: `companion.traffic.eviction` in compiled code, without signal strengths.
 
 Tests compare the result with `eviction.Ranking`.
 """
@@ -29,7 +29,7 @@ from ground_tools.campaign.world import Conditions
 from ground_tools.city.compiled import compiled
 from ground_tools.city.tables import NOBODY, Tracks
 
-# Columns of a standing: tier, direction, class of time and range, then the sort key within a part.
+# Columns of a standing: tier, direction, class of time to loss and range, then the sort key within a class.
 S_TIER, S_SECTOR, S_PART, S_TRUST, S_LOSS, S_DISTANCE, COLUMNS = range(7)
 _PARTS = len(RANGE_M) * (len(LOSS_S) + 1)
 PLACES = max(3 * AZIMUTHS, _PARTS)
@@ -45,7 +45,7 @@ class Judge(NamedTuple):
 
 
 def judge_of(avoidance: AvoidanceConfig) -> Judge:
-    """The judge of a law."""
+    """The threat criteria for a law's settings."""
     radius, scale = separation_m(avoidance, False)
     return Judge(radius, scale, HORIZONS * horizon_s(avoidance, False))
 
@@ -81,7 +81,7 @@ def _away(i: int, message: Floats, age: float, craft: Fleet) -> tuple[float, flo
 def loss_s(
     world: Conditions, i: int, message: Floats, age: float, growth_mps: float, craft: Fleet, judge: Judge
 ) -> float:
-    """Time until aircraft i loses its separation from the sender of a message; infinite: it does not."""
+    """Time until aircraft i loses separation from the sender of a message, s; infinite: it does not."""
     v, f = craft.velocity, craft.own_error
     closing = (
         v[i, 0] + f[i, 0] - message[M_VELOCITY],
@@ -151,8 +151,8 @@ def give_up(
 
     Args:
         sent: the newcomer's message.
-        who: its flight.
-        standings, crowds: written.
+        who: the newcomer's flight.
+        standings, crowds: working space; overwritten.
     """
     most = tracks.who.shape[1]
     for row in range(most):
@@ -174,8 +174,8 @@ def give_up(
 
 @_compiled
 def _first(standings: Integers, names: Integers, newcomer: int, crowds: Integers) -> int:
-    """The row to give up: of the lowest tier the most crowded direction, there the most crowded class, there
-    the last. Of equal crowds the one with the greatest number counts."""
+    """The row to give up: in the lowest tier, take the most crowded direction, in it the most crowded class,
+    and in that the first row in the order of `_after`. Of equally crowded ones, take the highest index."""
     tier = standings[0, S_TIER]
     for row in range(1, len(standings)):
         tier = min(tier, standings[row, S_TIER])
@@ -208,7 +208,7 @@ def _largest(standings: Integers, tier: int, sector: int, crowds: Integers) -> i
 
 @_compiled
 def _after(standings: Integers, names: Integers, newcomer: int, row: int, other: int) -> bool:
-    """Whether a row is given up before another one of the same part."""
+    """Whether a row is given up before another one of the same class."""
     for c in (S_TRUST, S_LOSS, S_DISTANCE):
         if standings[row, c] != standings[other, c]:
             return bool(standings[row, c] > standings[other, c])

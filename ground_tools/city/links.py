@@ -1,6 +1,6 @@
-"""Who may receive whom: links between all aircraft within reach, found with a grid.
+"""Finds, with a grid, which aircraft may receive which: the links between all aircraft within reach.
 
-Links are found anew every `simulation.LINKS_S`. Messages under way and the links' tracks are carried over.
+The search is repeated every `simulation.LINKS_S`. Messages in transit and the links' track rows are kept.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ _compiled = compiled()
 
 
 class Grid:
-    """Working space of the search, and the links that it found last.
+    """Working space of the search, and the links that the latest search found.
 
     Args:
         slots: number of slots.
         reach_m: how far each transport reaches.
-        messages: number of messages that may be under way on a link.
-        near_m: pairs that are nearer than this are measured at every step.
+        messages: number of messages that may be in transit on a link.
+        near_m: distance of a pair below which it is measured at every step.
     """
 
     def __init__(self, slots: int, reach_m: Floats, messages: int, near_m: float) -> None:
@@ -45,7 +45,7 @@ class Grid:
 
         Args:
             position: shape (slots, 3).
-            fresh: shape (slots,): the slot's aircraft is another one than at the last call.
+            fresh: shape (slots,): whether the slot has another aircraft than at the last call.
         """
         work = self._cell, self._sorted, self._begin, self._cursor
         needed = _count(position, air.flight, self._reach2, *work, self._spare.start)
@@ -57,7 +57,7 @@ class Grid:
         return self.links
 
     def pair(self, craft: Fleet, near: Near, fresh: Bools) -> int:
-        """Find the pairs to measure at every step. Returns how many found no room."""
+        """Find the pairs to measure at every step. Returns how many did not fit into the tables."""
         return int(_pair(craft.position, self.links, self._near2, fresh, near, self._kept))
 
 
@@ -167,7 +167,7 @@ def _fill(
                         new.chance[e, m] = 0.0
                     new.modes[e] = modes
                     new.arrival[e, :] = math.inf
-    # Link (j, i) is met in the order of i, as it stands in the row of j.
+    # The links of row j are visited in rising order of i, which is the order in which they are stored.
     for j in range(len(flight)):
         cursor[j] = new.start[j]
     for i in range(len(flight)):
@@ -181,7 +181,7 @@ def _fill(
 
 @_compiled
 def _carry(i: int, fresh: Bools, old: Links, new: Links) -> None:
-    """Carry over what is under way to receiver i."""
+    """Carry over the messages in transit to receiver i."""
     e, end = old.start[i], old.start[i + 1]
     for at in range(new.start[i], new.start[i + 1]):
         j = new.other[at]
@@ -197,7 +197,7 @@ def _carry(i: int, fresh: Bools, old: Links, new: Links) -> None:
 
 @_compiled
 def _pair(position: Floats, links: Links, near2: float, fresh: Bools, near: Near, kept_pairs: Numbers) -> int:
-    """Write the near pairs. Losses of separation that go on keep their numbers."""
+    """Write the near pairs. A loss of separation that continues keeps its number."""
     overflow = 0
     others, events = kept_pairs[0], kept_pairs[1]
     for i in range(len(near.number)):

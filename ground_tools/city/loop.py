@@ -1,7 +1,7 @@
 """The steps of all aircraft in the air, in compiled code: send, receive, decide, move, measure.
 
-One step is that of `ground_tools.campaign.flight`, with the same vehicles, messages and decisions, in the
-same order and with the same draws. Tests compare the commands of both, bit for bit.
+A step does the same as a step of `ground_tools.campaign.flight`: the same vehicles, messages and decisions,
+in the same order and with the same random draws. Tests compare the commands of both, bit for bit.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from ground_tools.city.tables import NOBODY, Air, Links, Near, Tracks
 from ground_tools.city.tracks import Desk, Scope, certain, everything, look, look_perfectly, receive
 
 PERFECT, GIVEN, RADIO = 0.0, 1.0, 2.0
-"""How aircraft know of each other: the true state of all in reach; messages with given delays and losses; or
-messages by the channel equations."""
+"""How aircraft learn of each other. PERFECT: the true state of all in reach. GIVEN: messages with given
+delays and losses. RADIO: messages by the channel equations."""
 _LEAST_CHANGE_MPS = 2.0
 _compiled = compiled()
 _inlined = compiled(forceinline=True)
 
 
 class State(NamedTuple):
-    """Everything that changes in flight."""
+    """Everything that changes during a run."""
 
     craft: Fleet
     air: Air
@@ -44,7 +44,7 @@ class State(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """What does not change in flight."""
+    """Everything that stays constant during a run."""
 
     world: Conditions
     knows: float
@@ -54,7 +54,7 @@ class Rules(NamedTuple):
 
 @_inlined
 def _alone(craft: Fleet, i: int) -> Fleet:
-    """The fleet of aircraft i alone, as a view."""
+    """A view of the fleet that holds aircraft i alone."""
     a, b = i, i + 1
     return Fleet(
         craft.position[a:b], craft.before[a:b], craft.velocity[a:b], craft.command[a:b], craft.error[a:b],
@@ -68,7 +68,7 @@ def _send_all(
     rng: np.random.Generator, radio_rng: np.random.Generator, rules: Rules, tick: int, kinds: Floats,
     frames: Frames, state: State,
 ) -> None:  # fmt: skip
-    """Send the messages that are due, and draw who receives them when."""
+    """Send the messages that are due, and draw when each receiver gets them."""
     world, air, links = rules.world, state.air, state.links
     every, now = int(world.message), world.start_s + tick * world.step_s
     for j in range(len(air.flight)):
@@ -99,8 +99,8 @@ def _own(rules: Rules, now: float, i: int, craft: Fleet, air: Air) -> k.Own:
 
 @_inlined
 def _turned(i: int, own: k.Own, air: Air) -> float:
-    """The most by which the own velocity differed from the present one since the oldest message: the sum of
-    its changes in this stretch of time and the one before."""
+    """Upper bound of how much the own velocity has differed from the present one since the oldest message was
+    sent, m/s: the sum of the velocity's changes in the present and the previous interval."""
     last = air.samples[i] - 1
     if last < 0:
         air.changed[i, 0], air.changed[i, 1], air.changed[i, 2] = 0.0, 0.0, own.now_s
@@ -116,7 +116,7 @@ def _turned(i: int, own: k.Own, air: Air) -> float:
 def _look(
     rules: Rules, now: float, i: int, own: k.Own, law: k.Settings, scope: Scope, desk: Desk, state: State
 ) -> int:
-    """Write the neighbours that matter to the desk. Returns their number."""
+    """Write the neighbours that matter to `desk`. Returns their number."""
     if rules.knows != PERFECT:
         return look(now, rules.world, i, own, law, scope, state.craft, state.tracks, desk)
     if law.law == k.NONE:
@@ -131,8 +131,8 @@ def _decided(
 ) -> tuple[int, k.Decision]:  # fmt: skip
     """The decision of aircraft i, and the number of neighbours that it was given.
 
-    At first only those neighbours are considered that matter if the velocity changes little. If that is not
-    certain to be the decision with all of them, all that could ever matter are considered.
+    First, only the neighbours are considered that matter for a small change of velocity. If the result could
+    differ from the decision with all neighbours, the decision is repeated with all that can matter.
     """
     air = state.air
     own = _own(rules, now, i, state.craft, air)
@@ -147,7 +147,7 @@ def _decided(
     if change < most and not certain(own, law, decision, change):
         air.change[i] = 1.5 * air.change[i] + 1.0
         count = _look(rules, now, i, own, law, Scope(most, turned), desk, state)
-        # The history already holds the present velocity.
+        # The velocity history already holds the present velocity.
         before = k.State(command, air.decided_s[i], air.quiet[i], air.late_s[i], decision.state.samples)
         decision = k.decide(desk.neighbours, count, own, path, fence, law, before, history, work)
     else:
@@ -185,7 +185,7 @@ def advance(
     flights: Flights, fence: Floats, kinds: Floats, frames: Frames, desk: Desk, work: k.Workspace,
     state: State, trace: Floats,
 ) -> None:  # fmt: skip
-    """Fly some steps.
+    """Compute the given number of steps.
 
     Args:
         rng: source of the errors of navigation.
@@ -193,7 +193,7 @@ def advance(
         first_tick, ticks: number of the first step, and number of steps.
         fence: as in `kernels.decide`, the same for all aircraft.
         kinds: shape (1,): AVOIDS.
-        trace: shape (decisions, slots, 3): commands; written for as many decisions as it has.
+        trace: shape (decisions, slots, 3): receives the commands, for as many decisions as it has room.
     """
     world, craft, air = rules.world, state.craft, state.air
     every = int(world.period)

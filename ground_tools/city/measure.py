@@ -1,4 +1,4 @@
-"""What a flight is worth: losses of separation, distance from the timed path, and ages, in compiled code."""
+"""Measures flights in compiled code: losses of separation, and distances from the timed path."""
 
 from __future__ import annotations
 
@@ -19,25 +19,26 @@ from ground_tools.city.tables import NOBODY, Air, Near
 
 SEPARATION_M = 2.0 * AvoidanceConfig().conflict_radius_m
 OVER_M = 1.5 * SEPARATION_M
-"""A loss of separation is over when the two aircraft are farther apart than this."""
+"""A loss of separation ends when the two aircraft are farther apart than this."""
 TERMINAL_M = 50.0
-"""Nearer than this to the beginning or the end of its path, an aircraft departs or arrives."""
+"""Horizontal distance from the start or end of its path within which an aircraft counts as departing or
+arriving."""
 MOST_LOSSES = 200_000
 # Columns of a flight's tally.
 (
     T_BEGUN,  # time of departure, s; NaN: it did not depart
     T_ENDED,  # time of arrival, s; NaN: it did not arrive
-    T_LEAST,  # least distance from any other aircraft, m; infinite: none was ever near
+    T_LEAST,  # least distance from any other aircraft, m; infinite: no other was ever near
     T_GAP_MOST,  # largest distance from the timed point, m
-    T_GAP_SUM,  # sum over the steps, m
+    T_GAP_SUM,  # sum over the steps of the distance from the timed point, m
     T_STEPS,  # steps in the air
-    T_FLOWN,  # way flown, m
+    T_FLOWN,  # distance flown, m
     T_LATE,  # delay of the path, s
     T_DECISIONS,
     T_INFEASIBLE,  # decisions that could not keep every half-space
     T_CONFLICTS,  # decisions in conflict
     T_MANOEUVRES,  # conflicts that began
-    T_ASKED,  # sum over the decisions: neighbours that mattered
+    T_ASKED,  # sum over the decisions of the number of neighbours that mattered
     TALLY,
 ) = range(14)
 # Columns of a loss of separation.
@@ -58,12 +59,12 @@ _inlined = compiled(forceinline=True)
 
 
 class Tally(NamedTuple):
-    """What was measured so far."""
+    """The measurements so far."""
 
     flights: Floats
-    """(F, TALLY)."""
+    """(F, TALLY): one row per flight."""
     losses: Floats
-    """(MOST_LOSSES, LOSS)."""
+    """(MOST_LOSSES, LOSS): one row per loss of separation."""
     number: Integers
     """(1,): number of losses of separation; those beyond the table are counted too."""
 
@@ -77,7 +78,8 @@ def new_tally(flights: int) -> Tally:
 
 
 def forget(tally: Tally) -> None:
-    """Count the flights from now on; departures, arrivals and the list of losses are kept."""
+    """Reset the tallies of the flights, so that counting begins now. Departures, arrivals and the list of
+    losses are kept."""
     for column in range(TALLY):
         if column not in (T_BEGUN, T_ENDED):
             tally.flights[:, column] = math.inf if column == T_LEAST else 0.0
@@ -135,7 +137,7 @@ def _note_pair(
     now: float, flights: Flights, craft: Fleet, air: Air, near: Near, tally: Tally, i: int, at: int,
     least: float,
 ) -> None:  # fmt: skip
-    """Note the least distance of a near pair during a step."""
+    """Note the least distance (m) of a near pair during a step, and begin or end its loss of separation."""
     j = near.other[i, at]
     f, g = air.flight[i], air.flight[j]
     tally.flights[f, T_LEAST] = min(tally.flights[f, T_LEAST], least)
@@ -162,7 +164,7 @@ def _note_pair(
 
 @_compiled
 def _terminal(flights: Flights, craft: Fleet, air: Air, i: int) -> bool:
-    """Whether aircraft i departs or arrives."""
+    """Whether aircraft i is within `TERMINAL_M` of the start or the end of its path."""
     f = air.flight[i]
     first, last = flights.first[f], flights.first[f] + flights.corners[f] - 1
     p = craft.position[i]

@@ -1,4 +1,4 @@
-"""Writes the results of cities as Parquet, each with the record of what made it."""
+"""Writes the results of city runs as Parquet, each file with a provenance record."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _LOSSES: Final = {
 
 
 def check() -> None:
-    """Check that Parquet can be written.
+    """Check that pyarrow is installed.
 
     Raises:
         ConfigError: pyarrow is not installed.
@@ -48,10 +48,10 @@ def check() -> None:
 
 
 def write_runs(path: Path, city: City, rows: Sequence[Row], command: str) -> None:
-    """Write the runs of a cell, a row each, and the record of what made them beside it.
+    """Write the runs of a cell, one row each, and a provenance record beside the file.
 
     Args:
-        command: the command that makes such a file.
+        command: the command that makes such a file, for the record.
 
     Raises:
         ConfigError: the file cannot be written.
@@ -66,10 +66,10 @@ def write_runs(path: Path, city: City, rows: Sequence[Row], command: str) -> Non
 
 
 def write_study(path: Path, cells: Sequence[tuple[City, str, float, Sequence[Row]]]) -> None:
-    """Write the runs of many cells as one table, a row each.
+    """Write the runs of many cells as one table, one row each.
 
     Args:
-        cells: of each the city, the name of the method, the foreign load, and its runs.
+        cells: for each cell the city, the name of the method, the background load, and the runs.
 
     Raises:
         ConfigError: the file cannot be written.
@@ -87,7 +87,7 @@ def write_study(path: Path, cells: Sequence[tuple[City, str, float, Sequence[Row
 
 
 def write_flights(path: Path, result: Result) -> None:
-    """Write the flights of a run, a row each. What is infinite or not a number is empty.
+    """Write the flights of a run, one row each. Infinite values and NaN become empty.
 
     Raises:
         ConfigError: the file cannot be written.
@@ -102,7 +102,7 @@ def write_flights(path: Path, result: Result) -> None:
 
 
 def write_losses(path: Path, result: Result) -> None:
-    """Write the losses of separation of a run, a row each.
+    """Write the losses of separation of a run, one row each.
 
     Raises:
         ConfigError: the file cannot be written.

@@ -1,4 +1,5 @@
-"""Flies a city: departures and arrivals, links, choices of transports, and between them the compiled loop."""
+"""Flies a city: departures and arrivals, links and choices of transports, with the compiled loop between
+them."""
 
 from __future__ import annotations
 
@@ -24,31 +25,32 @@ from ground_tools.city.tables import NOBODY, new_air, new_fleet, new_near, new_t
 from ground_tools.city.tracks import Desk
 
 PART_S = 0.5
-"""Transports are chosen, and loads computed, after every part of this length."""
+"""Length of a part of a run. Transports are chosen and loads computed after each part."""
 PARTS = 4
-"""Links are found anew, and aircraft depart and arrive, once in so many parts."""
+"""Number of parts after which links are searched again and aircraft depart and arrive."""
 LINKS_S = PART_S * PARTS
 ARRIVED_M = 10.0
-"""An aircraft has arrived when its path is over and it is this near to its end."""
+"""An aircraft has arrived when its path is over and it is this near to the end of the path."""
 CLEAR_M = 30.0
-"""An aircraft departs only if nobody is this near to the beginning of its path."""
+"""An aircraft departs only if no other is this near to the beginning of its path."""
 _ROOM = 1.2
-"""Slots per aircraft that is in the air as planned; delayed ones stay longer."""
+"""Slots per aircraft in the air as planned. More than 1, because delayed aircraft stay longer."""
 
 
 class Radio(Protocol):
-    """What decides who receives which message."""
+    """Model of the radio: decides who receives which message."""
 
     frames: Frames
 
     def choose(self, part: int, now: float, state: State) -> None:
-        """Let the aircraft whose turn it is choose their transports, and compute what comes through."""
+        """Let the aircraft whose turn it is choose their transports, and compute their reception
+        probabilities."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What was flown."""
+    """Result of a run."""
 
     state: State
     waiting: int
@@ -62,26 +64,26 @@ class Result:
     purpose: Integers
     """(F,): index into `demand.PURPOSES`."""
     waited_s: Floats
-    """(F,): how long each flight waited for its departure; NaN: it did not depart."""
+    """(F,): waiting time of each flight before its departure; NaN: it did not depart."""
     near_overflow: int
-    """Near pairs that were not measured for some time, because an aircraft had too many."""
+    """Number of near pairs that were left unmeasured, because an aircraft had too many at that time."""
 
 
 class Simulation:
     """One run of a city.
 
     Args:
-        flights: what is to be flown.
-        avoidance: configuration of the law, of which the flights' settings were made.
-        world: errors and delays. Its beginning is 0.
+        flights: the planned flights.
+        avoidance: configuration of the law, from which the flights' settings were made.
+        world: errors and delays; begins at 0 s.
         knows: `loop.PERFECT`, `loop.GIVEN` or `loop.RADIO`.
-        reach_m: how far each transport reaches, shape (3,); for PERFECT and GIVEN the first number counts.
-        radio: for `loop.RADIO`.
+        reach_m: range of each transport, shape (3,); PERFECT and GIVEN use the first number only.
+        radio: the radio model, for `loop.RADIO`.
         rng: source of the errors of navigation.
         radio_rng: source of delays and losses.
-        most_tracks: size of the aircraft's tables of tracks.
-        slots: most aircraft in the air; None: some more than are in the air as planned.
-        clear_m: an aircraft departs only if nobody is this near to the beginning of its path.
+        most_tracks: capacity of each aircraft's table of tracks.
+        slots: most aircraft in the air; None: some more than are in the air if all fly as planned.
+        clear_m: see `CLEAR_M`.
     """
 
     def __init__(
@@ -147,7 +149,7 @@ class Simulation:
     def fly(
         self, duration_s: float, trace: Floats | None = None, after: Callable[[], None] | None = None
     ) -> Result:
-        """Fly on for a time that is a multiple of `PART_S`.
+        """Continue the run for a duration that is a multiple of `PART_S`.
 
         Args:
             trace: as in `loop.advance`.
@@ -179,7 +181,7 @@ class Simulation:
         self._fresh[:] = False
 
     def _turn_over(self, now: float) -> None:
-        """Let aircraft arrive and depart."""
+        """Remove the aircraft that have arrived, and let those depart that are due."""
         flights, air = self._flights, self.state.air
         for slot in np.flatnonzero(air.flight != NOBODY).tolist():
             f = int(air.flight[slot])
@@ -195,7 +197,7 @@ class Simulation:
         self._waiting = [f for f in self._waiting if not self._depart(f, now)]
 
     def _depart(self, f: int, now: float) -> bool:
-        """Let a flight begin, if there is a slot and its place is free."""
+        """Begin a flight if there is a slot and its place of departure is free."""
         air, craft = self.state.air, self.state.craft
         free = np.flatnonzero(air.flight == NOBODY)
         at = self._flights.points[self._flights.first[f]]

@@ -1,7 +1,7 @@
 """The state of all aircraft in the air, in arrays that the compiled loop works on.
 
-An aircraft in the air has a *slot*, a row of these tables. What it hears has a *link*, and what it knows of
-another aircraft a *track*. All of them are bounded and allocated before the flight.
+An aircraft in the air has a *slot*, a row of these tables. Each sender that it may hear has a *link*, and
+each aircraft that it knows has a *track*. All of them are bounded and allocated before the flight.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from sitl_mocks.channel.parameters import MODES
 Numbers = NDArray[np.int32]
 NOBODY = -1
 NEAR_MOST = 32
-"""Most aircraft so near to one that the distance to them is measured at every step."""
+"""Most near aircraft of one aircraft whose distances are measured at every step."""
 HISTORY = 512
-"""Length of the history of own velocities: at five decisions a second half of it is 51 s, more than the age
-of the oldest message."""
+"""Length of the history of own velocities. At five decisions a second, half of it is 51 s, which is more than
+the age of the oldest message."""
 BURST = 10
 """Number of new tracks that are remembered to recognise those that appear together (`eviction.OPENED`)."""
 
 
 class Air(NamedTuple):
-    """M slots; NED, m and s."""
+    """State of the aircraft in M slots; NED, m and s."""
 
     flight: Integers
     """(M,): number of its flight, or NOBODY."""
@@ -59,8 +59,8 @@ class Air(NamedTuple):
     change: Floats
     """(M,): `tracks.Scope.change` with which the next decision is tried first, m/s."""
     changed: Floats
-    """(M, 3): sums of the changes of the own velocity, m/s: since the time in the third column, and in the
-    stretch before."""
+    """(M, 3): sums of the changes of the own velocity, m/s, in the interval that began at the time in the
+    third column (s), and in the interval before it."""
 
 
 class Tracks(NamedTuple):
@@ -69,31 +69,31 @@ class Tracks(NamedTuple):
     who: Numbers
     """(M, K): number of the flight, or NOBODY."""
     used: Integers
-    """(M,): rows from this one on are free."""
+    """(M,): number of rows in use; the rows from this one on are free."""
     heard: Floats
     """(M, K, MESSAGE_COLUMNS): the latest message."""
     got_s: Floats
-    """(M, K): when it was received."""
+    """(M, K): when the latest message was received."""
     past: Floats
     """(M, K, columns of `kernels.Past`)."""
     messages: Numbers
     """(M, K): number of messages."""
     threat_s: Floats
-    """(M, K): when it was last a threat."""
+    """(M, K): when the other aircraft was last a threat."""
     together: NDArray[np.bool_]
-    """(M, K): it appeared in a burst of new tracks."""
+    """(M, K): whether the track appeared in a burst of new tracks."""
     on_s: Float32s
-    """(M, K, 3): when it was last received on each transport."""
+    """(M, K, 3): when the sender was last received on each transport."""
     opened_s: Floats
-    """(M, BURST): when the last tracks appeared."""
+    """(M, BURST): when the latest tracks appeared."""
     opened: Integers
-    """(M,): how many appeared."""
+    """(M,): how many tracks have appeared."""
     counts: Integers
-    """(2,): tracks given up because a table was full, and newcomers refused."""
+    """(2,): tracks given up because a table was full, and newcomers that a full table refused."""
 
 
 class Links(NamedTuple):
-    """Who may receive whom: E links, sorted by receiver and sender."""
+    """Which aircraft may receive which: E links, sorted by receiver and sender."""
 
     start: Integers
     """(M + 1,): first link of each receiver."""
@@ -114,18 +114,18 @@ class Links(NamedTuple):
 
 
 class Near(NamedTuple):
-    """Pairs whose distance is measured at every step; each under the slot with the higher number."""
+    """Pairs whose distance is measured at every step, each stored under the higher of its two slots."""
 
     number: Integers
-    """(M,)."""
+    """(M,): number of pairs."""
     other: Numbers
-    """(M, NEAR_MOST)."""
+    """(M, NEAR_MOST): the lower slot of each pair."""
     event: Numbers
-    """(M, NEAR_MOST): number of the loss of separation that goes on, or NOBODY."""
+    """(M, NEAR_MOST): number of the pair's present loss of separation, or NOBODY."""
 
 
 def new_fleet(slots: int, world: Conditions) -> Fleet:
-    """The campaign's fleet without its matrix of arrivals, for which `Links` stand here."""
+    """The campaign's fleet without its matrix of arrivals, which `Links` replace here."""
     few = on_the_ground(1, world)
     made: list[Any] = [np.zeros((slots, *array.shape[1:]), array.dtype) for array in few[:-1]]
     made.append(np.full((slots, 1, few.sent.shape[1]), math.inf))
@@ -171,7 +171,7 @@ def new_tracks(slots: int, most: int) -> Tracks:
 
 
 def new_links(slots: int, links: int, messages: int) -> Links:
-    """Room for so many links, each with so many messages under way."""
+    """Room for the given number of links, each with the given number of messages in transit."""
     return Links(
         start=np.zeros(slots + 1, np.int64),
         other=np.zeros(links, np.int32),

@@ -1,8 +1,9 @@
-"""What an aircraft knows of others: messages that arrive become tracks, and tracks the law's neighbours.
+"""What an aircraft knows of the others: received messages become tracks, and tracks become the law's
+neighbours.
 
 As aboard (`companion.traffic`), a table holds a bounded number of tracks, learns from each message how far an
 aircraft deviates from its predictions, and gives up tracks in the order of `companion.traffic.eviction`. Here
-all senders sound alike, and nobody sends what is not true, so there are no doubts and no second places.
+there are no signal strengths and no false positions, so no sender is doubted or has a second position.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from ground_tools.city.tables import BURST, NOBODY, Air, Links, Tracks
 
 _OPENED_S = 2.0
 _FASTER = 1.1
-"""An aircraft flies at most this much faster than its law's greatest speed."""
+"""Bound of an aircraft's speed, as a multiple of its law's greatest speed."""
 _SLACK_M = 1e-3
-"""For rounding."""
+"""Allowance for rounding."""
 _NO_PAST = tuple(k.NO_PAST)
 _compiled = compiled()
 _inlined = compiled(forceinline=True)
@@ -105,7 +106,7 @@ def _open(
     now: float, world: Conditions, i: int, sent: Floats, who: int, craft: Fleet, tracks: Tracks,
     judge: Judge, desk: Desk,
 ) -> int:  # fmt: skip
-    """Open a track. Returns its row, or NOBODY if everything else in the table is more important."""
+    """Open a track. Returns its row, or NOBODY if the table is full of more important tracks."""
     oldest = tracks.opened_s[i, tracks.opened[i] % BURST]
     together = now - oldest <= _OPENED_S
     tracks.opened_s[i, tracks.opened[i] % BURST] = now
@@ -139,14 +140,14 @@ class Scope(NamedTuple):
     """Largest assumed differences (m/s) between an aircraft's present velocity and others of its own."""
 
     change: float
-    """Difference from velocities that a decision considers."""
+    """Difference from the velocities that a decision considers."""
     turned: float
-    """Difference from own velocities at the times of received messages."""
+    """Difference from the own velocities at the times of the received messages."""
 
 
 @_compiled
 def everything(law: k.Settings) -> float:
-    """`Scope.change` of all velocities that an aircraft can fly."""
+    """`Scope.change` that covers all velocities that an aircraft can fly."""
     return 2.0 * _FASTER * law.speed_mps
 
 
@@ -160,7 +161,7 @@ def certain(own: k.Own, law: k.Settings, decision: k.Decision, change: float) ->
     w, s, v = decision.wanted, decision.solved, own.velocity
     aside = math.sqrt((w.n - v.n) ** 2 + (w.e - v.e) ** 2 + (w.d - v.d) ** 2)
     aside += math.sqrt((w.n - s.n) ** 2 + (w.e - s.e) ** 2 + (w.d - s.d) ** 2)
-    if decision.conflict:  # the wish may have been turned
+    if decision.conflict:  # the wanted velocity may have been turned
         aside += 2.0 * law.right_rad * math.sqrt(w.n * w.n + w.e * w.e + w.d * w.d)
     return decision.feasible and aside <= change
 
@@ -200,10 +201,9 @@ def look(
     now: float, world: Conditions, i: int, own: k.Own, law: k.Settings, scope: Scope, craft: Fleet,
     tracks: Tracks, desk: Desk,
 ) -> int:  # fmt: skip
-    """Write the aircraft that aircraft i knows, and that matter, to the desk. Returns their number.
+    """Write the aircraft that aircraft i knows, and that matter, to `desk`. Returns their number.
 
-    They are sorted by their flights, so that the order of reception is irrelevant. Tracks that are too old
-    are removed.
+    They are sorted by flight number, so that the order of reception is irrelevant. Old tracks are removed.
     """
     count = 0
     for row in range(tracks.used[i]):
@@ -245,8 +245,8 @@ def _known(now: float, world: Conditions, i: int, row: int, craft: Fleet, tracks
 def look_perfectly(
     i: int, own: k.Own, law: k.Settings, scope: Scope, craft: Fleet, links: Links, desk: Desk
 ) -> int:
-    """Write the true state of the aircraft within reach, if they matter. Returns their number; those beyond
-    the size of the table are left out."""
+    """Write the true states of the aircraft within reach that matter. Returns their number. Those that do not
+    fit into the table are left out."""
     count, p, v = 0, craft.position, craft.velocity
     for e in range(links.start[i], links.start[i + 1]):
         j = links.other[e]

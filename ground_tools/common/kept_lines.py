@@ -25,8 +25,8 @@ class Kept(Generic[Row]):
     Args:
         path: The file; its folder must exist.
         made_with: Everything on which the rows depend.
-        software: Digest of the software that makes the rows, if rows of other software may be read. They are
-            never mixed with new ones.
+        software: Digest of the software that makes the rows. If it is given, rows of other software may be
+            read, but no new rows are added to them.
         row: Type of the rows.
         key: Gives the number of a row. A later row replaces an earlier one with the same number.
 
@@ -88,7 +88,7 @@ class Kept(Generic[Row]):
 
 
 def read_lines(path: Path, row: type[Row]) -> tuple[Any, list[Row]]:
-    """Read a result file: what its first line says, and its rows.
+    """Read a result file. Returns the settings in its first line, and its rows.
 
     Raises:
         ConfigError: The file cannot be read.

@@ -1,4 +1,4 @@
-"""Flies the seeds of several cells that kept files do not hold yet."""
+"""Flies the seeds of several cells that are not yet in the kept result files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ground_tools.common.progress import progress
 from ground_tools.common.workers import in_parallel
 
 _AT_ONCE: Final = 5
-"""Flights of one piece of work."""
+"""Flights in one unit of work for a worker."""
 
 
 Cell = TypeVar("Cell", bound=Hashable)
@@ -28,7 +28,8 @@ def fly_missing(
     seed_of: Callable[[Row], int],
     processes: int,
 ) -> dict[Cell, list[Row]]:
-    """Fly the seeds of all cells that the files do not hold. Returns the rows in the order of the seeds.
+    """Fly the seeds of all cells that are not in the files. Returns the rows of each cell in the order of the
+    seeds.
 
     Args:
         fly: flies some seeds of a cell; a top-level function of a module.

@@ -1,4 +1,4 @@
-"""A digest of a plug-in, to which kept results belong as they belong to the state of our own code."""
+"""A digest of a plug-in, so that kept results depend on the plug-in's state as on that of our own code."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from companion.plugins import Plugin
 def state_of(plugin: Plugin) -> str:
     """Digest of the name and version of a plug-in's distribution, and of the file that defines its object.
 
-    Other files of the distribution are not followed: its version stands for them.
+    Other files of the distribution are not read; its version represents them.
     """
     file = inspect.getsourcefile(plugin.loaded)
     code = b"" if file is None else Path(file).read_bytes()

@@ -1,4 +1,4 @@
-"""The record beside a kept result that says what made it."""
+"""The provenance record beside a kept result: which command, code, data and packages made it."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     command: str
     """The command that makes it again."""
     evidence: Literal["made", "sample"]
-    """How the sources are known: they were recorded when the file was made, or a sample of the file was made
-    again with them later and was the same."""
+    """How the sources are known: recorded when the file was made, or recorded later, after a sample of the
+    file was made again with them and was the same."""
     sources: dict[str, str]
     """Digest of each module on which the content depends."""
     data: dict[str, str]
@@ -33,12 +33,12 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def now(command: str, roots: Iterable[str], data: Iterable[str], packages: Iterable[str]) -> Provenance:
-    """The record of a file that is made by today's software.
+    """The record of a file that the present software makes.
 
     Args:
         command: the command that makes it.
         roots: names of the modules that compute it.
-        data: files that come with the software on which it depends, by their paths in the checkout.
+        data: files of the checkout on which the content depends, by their paths.
         packages: names of the packages that compute.
     """
     return Provenance(
@@ -59,7 +59,7 @@ def changes(old: Provenance, new: Provenance) -> list[str]:
 
 
 def beside(path: Path) -> Path:
-    """The record of a file."""
+    """Path of the provenance record of a file."""
     return path.with_name(path.name + ".made.json")
 
 
@@ -82,7 +82,7 @@ def write(path: Path, provenance: Provenance) -> None:
     """Write the record of a file.
 
     Raises:
-        ConfigError: it cannot be written.
+        ConfigError: the record cannot be written.
     """
     record = beside(path)
     try:
@@ -92,7 +92,8 @@ def write(path: Path, provenance: Provenance) -> None:
 
 
 def _version(package: str) -> str:
-    """Version of a package; verifying needs none of those that only train."""
+    """Version of a package; "not installed" for a missing one, because verifying needs no training
+    packages."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

@@ -1,8 +1,8 @@
 """95 % intervals from few runs: of the rate of rare events, of the ratio of two such rates, and of a mean.
 
-A bootstrap over three runs has ten different resamples, so that its interval is too narrow, and it has no
-width at all where no run saw an event. What is here has its width from the number of events (Poisson) or
-from Student's distribution.
+A bootstrap over three runs has only ten different resamples. Its interval is too narrow, and has no width at
+all if no run saw an event. The width of the intervals here comes from the number of events (Poisson) or from
+Student's distribution.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Estimate:
     value: float
     low: float
     high: float
-    """Infinite if nothing bounds it."""
+    """Upper end of the interval; infinite if there is no bound."""
 
 
 def rate(counts: Sequence[int], hours: Sequence[float], dispersion: float = 1.0) -> Estimate | None:
@@ -37,11 +37,11 @@ def rate(counts: Sequence[int], hours: Sequence[float], dispersion: float = 1.0)
     Args:
         counts: events of each run.
         hours: exposure of each run.
-        dispersion: variance over mean of a count, at least 1: events that come in groups are worth
-            fewer. The interval is that of count / dispersion.
+        dispersion: variance over mean of a count, at least 1. Events that come in groups carry less
+            information. The interval is that of count / dispersion.
 
     Returns:
-        None without exposure.
+        None if there is no exposure.
     """
     exposure = sum(hours)
     if exposure <= 0.0:
@@ -52,8 +52,8 @@ def rate(counts: Sequence[int], hours: Sequence[float], dispersion: float = 1.0)
 
 
 def dispersion(counts: Sequence[int], hours: Sequence[float]) -> float:
-    """Variance over mean of the counts of runs (Pearson's chi-squared over its degrees of freedom); at least
-    1, and 1 where a single run, or none with an event, says nothing about it."""
+    """Variance over mean of the counts of runs (Pearson's chi-squared over its degrees of freedom), at least
+    1. With a single run, or without any event, it cannot be estimated and is 1."""
     total, exposure = sum(counts), sum(hours)
     if len(counts) < 2 or total == 0 or exposure <= 0.0:
         return 1.0
@@ -66,7 +66,7 @@ def ratio(first: Estimate, second: Estimate) -> Estimate | None:
     """First rate over the second, with the interval of A. Donner and G. Zou (2012) from those of both.
 
     Returns:
-        None if both are 0: nothing is known of their ratio.
+        None if both are 0, because their ratio is then unknown.
     """
     a, b = first, second
     if a.value == b.value == 0.0:
@@ -86,7 +86,7 @@ def ratio(first: Estimate, second: Estimate) -> Estimate | None:
 def mean(values: Sequence[float]) -> Estimate | None:
     """Mean of independent runs with Student's interval, which is infinite for a single run; None for none.
 
-    Runs are means over hundreds of aircraft and thus nearly normal, which the interval asks for.
+    The interval requires normal values. Each run is a mean over hundreds of aircraft and thus nearly normal.
     """
     if not values:
         return None
@@ -107,7 +107,7 @@ def student(freedom: int) -> float:
 
 
 def _garwood(count: float) -> tuple[float, float]:
-    """Interval of the mean of a Poisson distribution from one count, which may be no whole number."""
+    """Interval of the mean of a Poisson distribution from one count, which need not be a whole number."""
     inverse = _special().gammaincinv
     low = 0.0 if count == 0.0 else float(inverse(count, _TAIL))
     return low, float(inverse(count + 1.0, 1.0 - _TAIL))

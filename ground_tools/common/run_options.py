@@ -1,4 +1,4 @@
-"""Options that several commands have: a range of seeds, and the number of worker processes."""
+"""Options shared by several commands: a range of seeds, and the number of worker processes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def seeds_of(text: str) -> range:
     """The seeds of `--seeds FROM-TO`.
 
     Raises:
-        ConfigError: the text is no rising range of at most a million seeds.
+        ConfigError: the text is not a rising range of at most a million seeds.
     """
     match = re.fullmatch(r"(\d+)-(\d+)", text)
     if match is None or not int(match[1]) <= int(match[2]) < int(match[1]) + _MOST_SEEDS:
@@ -26,7 +26,7 @@ def seeds_of(text: str) -> range:
 
 
 def processes_of(asked: int | None, option: str = "processes") -> int:
-    """Number of worker processes; one per core if none is asked for.
+    """Number of worker processes; one per core if the option is not given.
 
     Raises:
         ConfigError: the number is out of range.

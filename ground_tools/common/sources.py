@@ -20,14 +20,14 @@ ROOT: Final = Path(__file__).parents[2]
 _PACKAGES: Final = ("companion", "ground_tools", "sitl_mocks")
 _DIGITS: Final = 12
 _BOUNDARIES: Final = frozenset({"companion.config.sections", "companion.atmc.senses"})
-"""Modules of which results use definitions and constants only. What they import is not followed."""
+"""Modules of which results use definitions and constants only. Their imports are not followed."""
 
 _STRING_OR_COMMENT: Final = re.compile(
     r"""(?P<string>\"{3}(?:\\.|[^\\])*?\"{3}|'{3}(?:\\.|[^\\])*?'{3}"""
     r"""|"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')|#[^\n]*""",
     re.DOTALL,
 )
-"""The tokens of Python in which a number sign may be. `tokenize` would take a second for this project."""
+"""The Python tokens that may contain a number sign. `tokenize` would take a second for this project."""
 
 
 def digests(roots: Iterable[str], root: Path = ROOT) -> dict[str, str]:
@@ -73,7 +73,7 @@ class _Module:
     modules: tuple[str, ...]
     """Modules imported as `import module`, also inside functions, but not for type checkers."""
     names: tuple[tuple[str, str], ...]
-    """Likewise module and name of each `from module import name`."""
+    """Module and name of each `from module import name`, with the same exceptions."""
     passed_on: tuple[tuple[str, str, str], ...]
     """Alias, module and name of each `from module import name as alias` at the top of the module."""
 
@@ -116,7 +116,7 @@ def _ours(name: str, root: Path) -> bool:
 
 
 def _home(module: str, name: str, root: Path) -> str:
-    """The module that a name is defined in: packages pass on names of the modules inside them."""
+    """The module in which a name is defined. Packages re-export names of the modules inside them."""
     if _ours(f"{module}.{name}", root):
         return f"{module}.{name}"
     path = _path(module, root)
@@ -135,7 +135,7 @@ def _statements(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
 
 
 def _running(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
-    """All statements but those below `if TYPE_CHECKING:`."""
+    """All statements except those below `if TYPE_CHECKING:`."""
     for node in body:
         if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
             yield from _running(node.orelse)
@@ -160,11 +160,11 @@ def code_of(source: str) -> str:
 
 
 def _code(source: str, tree: ast.Module) -> str:
-    # A comment ends with its line, so that taking it away leaves the numbers of lines as they are.
+    # A comment ends with its line, so removing comments does not change line numbers.
     lines = _STRING_OR_COMMENT.sub(lambda found: found["string"] or "", source).splitlines()
     for node in _statements(tree.body):
         match node:
-            # A string that is a statement of its own describes the definition above it or around it. One that
+            # A string that is a separate statement documents the definition above it or around it. One that
             # shares its line with code, as in `class A: "words"`, stays.
             case ast.Expr(value=ast.Constant(value=str())):
                 if not lines[node.lineno - 1][: node.col_offset].strip():

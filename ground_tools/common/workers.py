@@ -55,12 +55,13 @@ def rounds_in_parallel(
     processes: int,
     words: Console,
 ) -> Iterator[tuple[int, Outcome]]:
-    """Run works that proceed in rounds side by side; yield the number and the outcome of each that ends.
+    """Run several works in parallel that proceed in rounds. Yields the index and the outcome of each work as
+    it ends.
 
     Args:
         function: The work for one item, a top-level function of a module.
-        works: Each yields the items of its next round, receives their results in the same order, and returns
-            its outcome. They share the workers, so that a work may use more than one.
+        works: Generators. Each yields the items of its next round, receives their results in the same order,
+            and returns its outcome. All share the workers, so one work may use several.
         processes: Number of worker processes; with 1, everything runs in this one.
         words: Console for the message about Ctrl-C.
 

@@ -1,4 +1,4 @@
-"""What the steps of a flight need of each firmware."""
+"""Firmware-specific data for the steps of a flight."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from companion.events import Firmware, FlightMode
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """What the steps need of a firmware: names of its flight modes (`Dialect.name`), and how it takes off."""
+    """Data of one firmware: names of its flight modes (`Dialect.name`), and how it takes off."""
 
     climbing: frozenset[str]
     """Modes during a take-off and after it."""

@@ -391,7 +391,7 @@ class Vehicle:
         return f"{_COMMANDS[number]} was refused ({name}){_because(self._reason(sent_s))}"
 
     def _reason(self, sent_s: float) -> str:
-        """Status texts since a command that was refused."""
+        """Status texts since the time of a refused command, which contain the reason."""
         self._within(_TEXT_S, lambda: bool(self.said(sent_s)))
         return self.said(sent_s)
 

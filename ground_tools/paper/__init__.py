@@ -1,4 +1,4 @@
-"""Recomputes the paper's published figures and compares them with what the paper says about them.
+"""Recomputes the paper's published figures and compares them with the paper's statements about them.
 
 `command` is the command `ground-tools paper`. Its list `FIGURES` names two functions from `figures` for each
 published figure: `report` gives the statements and numbers, and `draw` writes the picture. `report.Report` is

@@ -164,7 +164,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
-    """Add the options that all figures have but those over density."""
+    """Add the options of all figures except the one over density."""
     options.add_sampling(parser)
     parser.add_argument(
         "--out",

@@ -1,4 +1,4 @@
-"""Delays of one method, as a measurement yields them and as tables and figures show them."""
+"""Delays of one method: the result of a measurement and the input of tables and figures."""
 
 from __future__ import annotations
 

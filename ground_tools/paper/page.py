@@ -1,4 +1,4 @@
-"""One page with all that the paper states beside what this model finds: Markdown, HTML, and CSV files."""
+"""One page that compares all statements of the paper with this model's results, as Markdown, HTML and CSV."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Section:
     """Command line that makes this section alone."""
     report: Report
     picture: Path
-    """Its file, in the folder of the page."""
+    """File of the picture, in the folder of the page."""
 
 
 def write(folder: Path, sections: Sequence[Section]) -> tuple[Path, ...]:
@@ -143,7 +143,7 @@ def _page(sections: Sequence[Section], to: _Markdown | _Html) -> str:
 
 
 def _cell(text: str) -> str:
-    """A text on one line, in which no character ends a cell of a Markdown table."""
+    """A text on one line, with escapes so that no character ends a cell of a Markdown table."""
     return " ".join(text.split()).replace("|", "\\|")
 
 

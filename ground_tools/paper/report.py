@@ -87,7 +87,7 @@ class Printed:
     """A table as text."""
 
     title: str
-    """Empty if its columns say enough."""
+    """Title; empty if the columns are self-explanatory."""
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     numbers: bool
@@ -122,7 +122,7 @@ def tables(report: Report) -> list[Printed]:
 
 
 def show(report: Report, console: Console) -> None:
-    """Print a report for people."""
+    """Print a report on the terminal."""
     console.print(report.title, style="bold", highlight=False, soft_wrap=True)
     for note in report.notes:
         console.print(note, style="dim", highlight=False, soft_wrap=True)

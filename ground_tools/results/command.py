@@ -1,4 +1,4 @@
-"""The command `ground-tools results`: tells which kept results today's software still makes."""
+"""The command `ground-tools results`: reports which kept results the present software still makes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _WORDS: Final = {
     "unknown": "made by unknown code",
 }
 _SHOWN: Final = 3
-"""Names of changed sources, or differences of a sample, that are shown of each file."""
+"""Most changed sources, or differences of a sample, that are shown for each file."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -84,7 +84,8 @@ def run_record(args: argparse.Namespace) -> int:
     """Run `ground-tools results record`. Returns 0 if every file was recorded, else 1.
 
     Raises:
-        ConfigError: this is no checkout, a path names no kept file, or a record cannot be written.
+        ConfigError: the software does not run from a checkout, a path names no kept file, or a record cannot
+            be written.
     """
     if CHECKOUT is None:
         raise ConfigError("record: this is an installed copy; results are recorded in a checkout only")
@@ -102,7 +103,7 @@ def run_record(args: argparse.Namespace) -> int:
 
 
 def chosen_of(paths: Sequence[Path]) -> list[Entry]:
-    """The kept files that are named, or that lie in the folders that are named; all if none is named.
+    """The kept files that are named or lie in the named folders; all kept files if none is named.
 
     Raises:
         ConfigError: a path names no kept file.
@@ -120,10 +121,10 @@ def chosen_of(paths: Sequence[Path]) -> list[Entry]:
 
 
 def status_of(entry: Entry, *, sample: bool) -> tuple[Status, list[str]]:
-    """Whether a file is what today's software makes, and why not, in words.
+    """Whether the present software makes this file, and the reasons if not, as text.
 
     Args:
-        sample: make a sample of the file again, whatever its record says.
+        sample: make a sample of the file again even if its record shows no change.
 
     Raises:
         ConfigError: a file cannot be read.

@@ -1,4 +1,4 @@
-"""The kept results: on what the content of each file depends, and how a sample of it is made again."""
+"""The list of kept results, with what each file's content depends on and how to make a sample of it again."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TRAINED: Final = ("numpy", "torch")
 _FLOWN: Final = ("numba", "numpy")
 
 Remake = Callable[[Path], list[str]]
-"""Makes a sample of a file again. Returns what differs from the file, in words."""
+"""Makes a sample of a file again. Returns the differences from the file, as text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Entry:
     """One kept file."""
 
     name: str
-    """Path in the checkout."""
+    """Path of the file in the checkout."""
     command: str
     """The command that makes it."""
     roots: tuple[str, ...]
@@ -40,7 +40,7 @@ class Entry:
         return shipped(self.name)
 
     def now(self) -> Provenance:
-        """Its record if it were made by today's software."""
+        """The record that the file would have if the present software made it."""
         return provenance.now(self.command, self.roots, self.data, self.packages)
 
 

@@ -13,7 +13,7 @@ from ground_tools.paper.closed_loop.flights import Row, rows_of
 
 
 def campaign_table(path: Path) -> list[str]:
-    """Fly the first seed of every line of a campaign's table again. Returns what differs, in words."""
+    """Fly the first seed of every line of a campaign's table again. Returns the differences, as text."""
     table = tables.read(path)
     found = []
     for line in table.lines:
@@ -29,7 +29,7 @@ def campaign_table(path: Path) -> list[str]:
 
 
 def closed_loop_cell(path: Path) -> list[str]:
-    """Fly the first run of a file of the closed loop again. Returns what differs, in words."""
+    """Fly the first run of a file of the closed loop again. Returns the differences, as text."""
     condition, _, method = path.stem.partition("-")
     parser = argparse.ArgumentParser()
     closed_loop.add_arguments(parser)

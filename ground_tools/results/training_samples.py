@@ -22,7 +22,7 @@ _DIGITS: Final = 4
 
 
 def training(path: Path) -> list[str]:
-    """Begin every kept run again. Returns what differs, in words."""
+    """Train the first episodes of every kept run again. Returns the differences, as text."""
     set_up_torch()
     found = []
     for run in results.read(path).runs:
@@ -39,7 +39,7 @@ def training(path: Path) -> list[str]:
 
 
 def policy(path: Path) -> list[str]:
-    """Measure a policy again in its smallest fleets. Returns what differs, in words."""
+    """Measure a policy again in its smallest fleets. Returns the differences, as text."""
     set_up_torch()
     data = path.read_bytes()
     metadata, _ = policy_file.read(data, path.name)

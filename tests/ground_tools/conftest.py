@@ -1,4 +1,4 @@
-"""Common to the tests of the desk tools."""
+"""Fixtures for all tests of ground_tools."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import pytest
 
 @pytest.fixture(autouse=True, scope="module")
 def denormal_numbers_stay_with_those_who_drop_them():
-    """Training and measuring drop denormal numbers for the whole process, which other tests look at."""
+    """Training and measuring flush denormal numbers for the whole process. Restore the setting for other
+    tests."""
     yield
     torch = sys.modules.get("torch")
     if torch is not None:

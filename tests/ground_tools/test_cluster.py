@@ -1,4 +1,4 @@
-"""A campaign on a Ray cluster: the same rows; what is lost, missing or interrupted is said."""
+"""A campaign on a Ray cluster: the same rows, and messages about lost workers, errors and interruptions."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def killed(number: int) -> int:
 
 @pytest.fixture(scope="module")
 def address():
-    """A cluster of two nodes of this machine, one CPU each."""
+    """Address of a cluster of two nodes on this machine, one CPU each."""
     pytest.importorskip("ray", reason="ray is not installed (the extra `cluster`)")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
@@ -74,7 +74,7 @@ def test_rows_are_those_of_this_machine_and_go_on(address, tmp_path, capsys):
     for path in (tmp_path / "here").iterdir():
         lines = (tmp_path / "there" / path.name).read_text().splitlines()
         assert sorted(lines) == sorted(path.read_text().splitlines())
-        # Half of them are flown again, and come out the same.
+        # Half of them are flown again and are the same.
         (tmp_path / "there" / path.name).write_text("\n".join(lines[:201]) + "\n")
     assert cli.main([*RUN, "--json", "--out", str(tmp_path / "there"), "--ray", address]) == 0
     again = json.loads(capsys.readouterr().out)
@@ -93,7 +93,7 @@ def test_encounters_with_crewed_aircraft_are_those_of_this_machine(address, tmp_
     assert len(kept.read_text().splitlines()) == 121
 
 
-def test_a_lost_worker_is_said_and_its_work_done_again(address, tmp_path):
+def test_a_lost_worker_is_reported_and_its_work_repeated(address, tmp_path):
     words = io.StringIO()
     marker = str(tmp_path / "marker")
     assert list(on_ray(killed_once, [marker], address, state, Console(file=words))) == [(marker, marker)]
@@ -102,7 +102,7 @@ def test_a_lost_worker_is_said_and_its_work_done_again(address, tmp_path):
         list(on_ray(killed, [1], address, state, Console(file=words)))
 
 
-def test_what_is_wrong_ends_it_in_its_own_words(address):
+def test_an_error_in_a_worker_ends_the_run_with_its_own_message(address):
     assert list(on_ray(square, [], address, state, Console())) == []
     with pytest.raises(ConfigError, match=r"^number -1 is wrong$"):
         list(on_ray(square, [1, -1], address, state, Console()))
@@ -132,18 +132,18 @@ def test_ctrl_c_keeps_what_was_flown_on_the_cluster(address, tmp_path):
         (["--ray", "10.0.0.5:6379", "--processes", "2"], "--processes cannot be combined with --ray"),
     ],
 )
-def test_what_is_wrong_with_an_address_is_said(options, words, capsys):
+def test_a_wrong_address_is_reported(options, words, capsys):
     assert cli.main([*RUN, *options]) == 2
     assert words in capsys.readouterr().err
 
 
-def test_an_address_that_nobody_answers_is_said(capsys):
+def test_an_address_without_an_answer_is_reported(capsys):
     pytest.importorskip("ray", reason="ray is not installed (the extra `cluster`)")
     assert cli.main([*RUN, "--ray", "ray://127.0.0.1:1"]) == 2
     assert "--ray: ray://127.0.0.1:1 does not answer: Connection refused" in capsys.readouterr().err
 
 
-def test_without_ray_it_is_said_how_to_get_it(monkeypatch, capsys):
+def test_without_ray_the_message_says_how_to_install_it(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "ray", None)
     assert cli.main([*RUN, "--ray", "127.0.0.1:1"]) == 2
     assert "pip install -e '.[cluster]'" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The oracle file passes; a damaged copy fails and says where; another file is refused in one line."""
+"""The oracle file passes, a changed copy fails with the place, and another file is refused in one line."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_a_changed_feasibility_is_found(oracle: dict[str, Any], tmp_path: Path, 
     assert check(damaged(oracle, tmp_path / "c.json", case_id, feasible=False)) == 1
 
 
-def test_flying_on_head_on_is_found(oracle: dict[str, Any]) -> None:
+def test_an_answer_that_flies_on_head_on_is_found(oracle: dict[str, Any]) -> None:
     raw = next(c for c in oracle["cases"] if c["conditioning"] == "degenerate")
     case = orca_check.msgspec.convert(raw, orca_check.Case)
     flying_on = orca_check.Answer(case.agent.velocity, True, 0.0)

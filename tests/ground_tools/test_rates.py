@@ -30,13 +30,13 @@ def test_the_poisson_interval_against_published_values():
 def test_counts_that_differ_more_than_chance_widen_the_interval():
     assert dispersion([5, 5, 5], [1.0, 1.0, 1.0]) == 1.0
     assert dispersion([5], [1.0]) == dispersion([0, 0], [1.0, 1.0]) == 1.0
-    # Mean 10, squares 100 + 100 + 0 over 10, two degrees of freedom.
+    # Mean 10; squares 100 + 100 + 0, divided by 10 and by two degrees of freedom.
     assert dispersion([0, 20, 10], [1.0, 1.0, 1.0]) == pytest.approx(10.0)
-    # Counts in proportion to the hours are no dispersion.
+    # Counts in proportion to the hours have no extra dispersion.
     assert dispersion([2, 20], [1.0, 10.0]) == 1.0
     plain, wide = rate([0, 20, 10], [1.0] * 3), rate([0, 20, 10], [1.0] * 3, 10.0)
     assert plain.value == wide.value == 10.0
-    # As if there were three events, each worth ten: Garwood's 0.619 to 8.767.
+    # As with three events that count ten each: Garwood's interval is 0.619 to 8.767.
     assert (wide.low, wide.high) == pytest.approx((10 * 0.619 / 3, 10 * 8.767 / 3), abs=5e-3)
 
 

@@ -46,12 +46,12 @@ def test_works_in_rounds_receive_their_own_results(processes: int):
     assert found == {0: 15, 1: 0, 2: 25, 3: 0}
 
 
-def test_a_worker_that_is_killed_in_a_round_is_said():
+def test_a_worker_that_is_killed_in_a_round_is_reported():
     with pytest.raises(ConfigError, match="a worker process was killed"):
         list(rounds_in_parallel(killed, [sums([1], 1)], 2, Console()))
 
 
-def test_a_worker_that_is_killed_is_said():
+def test_a_killed_worker_is_reported():
     with pytest.raises(ConfigError, match="a worker process was killed"):
         list(in_parallel(killed, range(3), 2, Console()))
 
@@ -63,9 +63,9 @@ def wrong(number: int) -> int:
     return number
 
 
-def test_what_is_wrong_with_one_ends_all():
+def test_an_error_in_one_item_ends_all():
     with pytest.raises(ConfigError, match="number 0 is wrong"):
         list(in_parallel(wrong, range(5), 2, Console()))
-    # Not by join(): a thread of the pool may have waited for them already.
+    # join() is not used, because a thread of the pool may already have waited for the processes.
     left = [Path(f"/proc/{child.pid}") for child in multiprocessing.active_children()]
     until(lambda: not any(path.exists() for path in left), "their end", 60.0)

@@ -1,4 +1,4 @@
-"""A second reader of DRIP, written from the text of the standards alone; it uses nothing of `companion`.
+"""An independent reader of DRIP, written from the text of the standards; it uses no code of `companion`.
 
 Keccak-f[1600] and the sponge are those of FIPS 202, cSHAKE128 that of NIST SP 800-185 section 3, the identity
 that of RFC 9374 section 3.5.2, and the messages those of draft-ietf-drip-auth-49 (RFC 9575). Only Ed25519
@@ -119,7 +119,7 @@ def payload(pages: dict[int, bytes]) -> bytes | None:
 
 
 class Reader:
-    """Hears one aircraft. `outcomes` holds what became of each Authentication."""
+    """Receives the messages of one aircraft. `outcomes` holds the result for each Authentication message."""
 
     def __init__(self, anchors: dict[bytes, bytes]) -> None:
         self.anchors = anchors
@@ -133,7 +133,7 @@ class Reader:
         """Hash of each Location, or pack with one, that a Manifest covered."""
 
     def hear(self, raw: bytes, utc_s: float) -> None:
-        """Take a message of 25 bytes (BLE 4), or a pack."""
+        """Process a message of 25 bytes (BLE 4), or a message pack."""
         if raw[0] >> 4 == 0xF:
             messages = [raw[3 + 25 * k : 28 + 25 * k] for k in range(raw[2])]
             if any(m[0] >> 4 == 1 for m in messages):

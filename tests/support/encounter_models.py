@@ -1,4 +1,4 @@
-"""The encounter models that tests use: a small one made by hand, and the published ones where they are."""
+"""Encounter models for tests: a small one made by hand, and the published ones if they are available."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NAMES = (
 
 
 def published(name: str) -> Model:
-    """A published model; the test is skipped where its file is not there."""
+    """A published model; skips the test if its file is missing."""
     path = PUBLISHED / f"{name}.txt"
     if not path.is_file():
         pytest.skip(f"the encounter model {name} is not there; it is published in em-model-manned-bayes "

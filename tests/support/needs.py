@@ -1,4 +1,4 @@
-"""Marks of tests that need an optional package, which no worker loads before such a test runs."""
+"""Skip marks for tests that need an optional package. The package is not imported to find out."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Five small onboard logs: two of ArduPilot's copters, one of an old plane, and two of PX4.
 
-The flights: one position a tenth of a second, northwards at 5 m/s from `PLACE`, at `ALT_M`.
+Each flight has ten positions per second and goes north at 5 m/s from `PLACE`, at `ALT_M`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ PLACE = (47.0, 8.5)
 ALT_M, HOME_M = 450.0, 430.0
 SPEED_MPS = 5.0
 NORTH_DEG_S = SPEED_MPS / 111_178.0
-"""Degrees of latitude in a second."""
+"""Degrees of latitude per second of flight."""
 UTC_S = 1_767_225_600.0
-"""UTC when the vehicle started: 2026-01-01."""
+"""UTC (Unix seconds) when the vehicle started: 2026-01-01."""
 GPS_EPOCH_S, LEAP_S = 315_964_800, 18
 SECONDS = 20
 ICAO = 0x4B1234
@@ -29,14 +29,14 @@ def latitude(t: float) -> float:
 
 
 def gps_time(t: float) -> tuple[int, int]:
-    """Week and millisecond of the week that belong to the time `t`."""
+    """GPS week and millisecond of the week at the time `t` (s)."""
     since_ms = round((UTC_S + t - GPS_EPOCH_S + LEAP_S) * 1e3)
     week, ms = divmod(since_ms, 604_800_000)
     return ms, week
 
 
 def copter(path: Path, *, centimetres: bool = True, system_id: int = 7, east_deg: float = 0.0) -> Path:
-    """A copter of ArduPilot 4.x that is guided by velocities, with traffic, wind and errors."""
+    """A copter with ArduPilot 4.x that flies velocity setpoints, with traffic, wind and errors."""
     log = DataFlashWriter()
     log.define("PARM", "QNff", "TimeUS,Name,Value,Default", "F---")
     log.define("MSG", "QZ", "TimeUS,Message", "F-")
@@ -67,7 +67,7 @@ def copter(path: Path, *, centimetres: bool = True, system_id: int = 7, east_deg
     for tick in range(SECONDS * 10):
         t = tick / 10
         us = tick * 100_000 + 1_000
-        for core, speed in ((0, 0.0), (1, SPEED_MPS)):  # the second core is in use
+        for core, speed in ((0, 0.0), (1, SPEED_MPS)):  # the second estimator core is in use
             log.write("XKF1", us, core, 0.0, 0.0, 0.0, speed, 0.0, -0.5, 0.0)
             log.write("XKF2", us, core, 0.0, 0.0, 0.0, -3.0 * core, 4.0 * core)
             log.write("XKF4", us, core, 0, 0, 0x1F, 0, 1)
@@ -92,7 +92,7 @@ def copter(path: Path, *, centimetres: bool = True, system_id: int = 7, east_deg
             velocity = 3.0 * scale, -1.0 * scale, 0.5 * scale
             log.write("GUIP", us, 4, 0.0, 0.0, 0.0, 0, *velocity, 0.0, 0.0, 0.0)
         if tick % 10 == 0:
-            # 400 m to the east, and 100 m higher, flying west.
+            # The traffic is 400 m to the east and 100 m higher, and flies west.
             east = PLACE[1] + 400.0 / (111_320.0 * math.cos(math.radians(PLACE[0])))
             lat, lng = round(latitude(t) * 1e7), round(east * 1e7)
             log.write("ADSB", us, ICAO, lat, lng, round((ALT_M + 100.0) * 1e3), 27_000, 4_000, 0, 1200)
@@ -106,7 +106,8 @@ def copter(path: Path, *, centimetres: bool = True, system_id: int = 7, east_deg
 
 
 def old_plane(path: Path) -> Path:
-    """A plane of ArduPilot 3.x, without units, whose estimator was not logged: only its GNSS receiver."""
+    """A plane with ArduPilot 3.x. Its log has no units, and has positions of the GNSS receiver but not of the
+    estimator."""
     log = DataFlashWriter(with_units=False)
     log.define("MSG", "QZ", "TimeUS,Message")
     log.define("MODE", "QMB", "TimeUS,Mode,ModeNum")
@@ -124,7 +125,7 @@ def old_plane(path: Path) -> Path:
 
 
 def damaged_copter(path: Path) -> Path:
-    """The copter's log with a damaged piece in it, and torn at its end."""
+    """The copter's log with a damaged part, and cut off at its end."""
     copter(path)
     whole = path.read_bytes()
     middle = len(whole) // 2
@@ -139,7 +140,7 @@ LOCAL += "bool xy_global;bool z_global;double ref_lat;double ref_lon;float ref_a
 
 
 def px4(path: Path) -> Path:
-    """A multicopter of PX4 1.16 that flies offboard, with traffic, wind, Remote ID and a dropout."""
+    """A multicopter with PX4 1.16 in offboard mode, with traffic, wind, Remote ID and a dropout."""
     log = UlogWriter(1_000_000)
     log.info("", "sys_name", "PX4")
     log.info("", "ver_hw", "PX4_FMU_V6X")
@@ -180,7 +181,7 @@ def px4(path: Path) -> Path:
     for topic in topics:
         log.subscribe(topic)
     log.subscribe("vehicle_gps_position", 1)
-    log.data("home_position", 400_000, *PLACE, HOME_M, True)  # long before the log began
+    log.data("home_position", 400_000, *PLACE, HOME_M, True)  # the vehicle started long before the log
     for tick in range(SECONDS * 10):
         t = tick / 10
         us = 2_000_000 + tick * 100_000
@@ -208,7 +209,7 @@ def px4(path: Path) -> Path:
             *PLACE,
             0.0,
         )
-        # Topics are written in their own order, so that their times are not quite in order.
+        # Topics are written in blocks, so their times are not strictly in order.
         log.data(
             "vehicle_global_position", us - 4_000, us, latitude(t), PLACE[1], ALT_M, ALT_M + 48.0, True, True
         )
@@ -236,7 +237,7 @@ def px4(path: Path) -> Path:
 
 
 def old_px4(path: Path, *, damaged: bool = True) -> Path:
-    """A vehicle of PX4 1.11: only positions relative to an origin; a crash dump was appended."""
+    """A vehicle with PX4 1.11: positions are relative to an origin only, and a crash dump was appended."""
     log = UlogWriter(1_000_000)
     log.define("vehicle_local_position", LOCAL)
     log.define(
@@ -254,7 +255,7 @@ def old_px4(path: Path, *, damaged: bool = True) -> Path:
         if tick % 5 == 0:
             log.sync()
         if tick == 100 and damaged:
-            log.content += b"\x05\x00Qtorn"  # whatever was not finished when power failed
+            log.content += b"\x05\x00Qtorn"  # an unfinished message, as when power fails
             log.content += b"\xff\xff\xff\xff"
             log.sync()
         if tick == 100:

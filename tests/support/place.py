@@ -1,4 +1,4 @@
-"""Where the tests fly: at the home of the simulated vehicles."""
+"""Place of the test flights: the home of the simulated vehicles."""
 
 from typing import Final
 
@@ -10,10 +10,10 @@ _GLOBE: Final = Globe(VEHICLES_HOME.lat_deg, VEHICLES_HOME.lon_deg, VEHICLES_HOM
 
 
 class Home(LocalFrame):
-    """A frame at the vehicles' home that converts to latitude and longitude as the vehicles do.
+    """A local frame at the vehicles' home that converts to latitude and longitude as the vehicles do.
 
-    This agrees with `LocalFrame` to micrometres and takes a twentieth of the time, which was most of the time
-    of tests with many transmitters.
+    It agrees with `LocalFrame` to micrometres and takes a twentieth of the time. Tests with many transmitters
+    spent most of their time in the conversion.
     """
 
     def to_geodetic(self, north_m: float, east_m: float, down_m: float) -> Vec3:
@@ -23,13 +23,13 @@ class Home(LocalFrame):
 
 HOME: Final = Home(VEHICLES_HOME.lat_deg, VEHICLES_HOME.lon_deg, VEHICLES_HOME.alt_m)
 LAT_E7: Final = round(1e7 * HOME.lat_deg)
-"""Its latitude as MAVLink sends it, 1e-7 deg."""
+"""Latitude of home as MAVLink sends it, in 1e-7 deg."""
 LON_E7: Final = round(1e7 * HOME.lon_deg)
-"""Its longitude, 1e-7 deg."""
+"""Longitude of home, in 1e-7 deg."""
 NORTHWARD: Final = f"""altitude = "home"
 waypoint = [
   {{ t_s = 0.0, lat_deg = {HOME.lat_deg}, lon_deg = {HOME.lon_deg}, alt_m = 50.0 }},
   {{ t_s = 300.0, lat_deg = {HOME.lat_deg + 0.0035:.4f}, lon_deg = {HOME.lon_deg}, alt_m = 50.0 }},
 ]
 """
-"""Path of a `companion run`: from 50 m above home to the north for five minutes, at 1.3 m/s."""
+"""Path file for `companion run`: from 50 m above home to the north for five minutes, at 1.3 m/s."""

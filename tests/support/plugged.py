@@ -1,4 +1,4 @@
-"""Distributions with plug-ins, made for a test: a module and the metadata that an installer would leave."""
+"""Distributions with plug-ins for tests: each has a module and the metadata that an installer would write."""
 
 from __future__ import annotations
 
@@ -101,10 +101,10 @@ KINDS = (
 
 
 def install(folder: Path, name: str, source: str, entry_points: Mapping[str, Mapping[str, str]]) -> None:
-    """Write a distribution, version 1.0, of one module of the same name.
+    """Write a distribution with version 1.0 and one module of the same name.
 
     Args:
-        entry_points: for each group, names and what they stand for.
+        entry_points: for each group, the names of entry points and the objects that they refer to.
     """
     (folder / f"{name}.py").write_text(source)
     about = folder / f"{name}-1.0.dist-info"
@@ -117,7 +117,7 @@ def install(folder: Path, name: str, source: str, entry_points: Mapping[str, Map
 
 
 def forget(*names: str) -> None:
-    """Make Python and `companion.plugins` forget what they loaded of these distributions."""
+    """Clear what Python and `companion.plugins` have loaded from these distributions."""
     plugins.load.cache_clear()
     for name in names:
         sys.modules.pop(name, None)
@@ -127,7 +127,7 @@ def forget(*names: str) -> None:
 def installed(
     folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, install_it: Callable[[Path], None]
 ) -> Iterator[Path]:
-    """Body of a fixture: the distribution `name` is installed in `folder` while the test runs."""
+    """Body of a fixture: install the distribution `name` in `folder` while the test runs."""
     monkeypatch.syspath_prepend(str(folder))
     forget(name)
     install_it(folder)

@@ -24,7 +24,7 @@ def imports() -> dict[str, set[str]]:
 
 
 def reduced(graph: dict[str, set[str]]) -> dict[str, set[str]]:
-    """The graph without the arrows that follow from others."""
+    """The transitive reduction of the graph: without arrows that follow from others."""
     reached: dict[str, set[str]] = {}
     for room in ROOMS:
         reached[room] = graph[room].union(*(reached[other] for other in graph[room]))
@@ -40,12 +40,12 @@ def diagram() -> str:
 
 
 def page_with_diagram(text: str) -> str:
-    """The page with its diagram drawn anew."""
+    """The page with a new diagram."""
     return page_with(diagram(), text)
 
 
 def main(page: Path = PAGE) -> None:
-    """Draw the page's diagram anew."""
+    """Write a new diagram into the page."""
     page.write_text(page_with_diagram(page.read_text()))
 
 

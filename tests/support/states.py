@@ -1,4 +1,4 @@
-"""`python -m tests.support.states`: draws the table of who flies into docs/authority.md."""
+"""`python -m tests.support.states`: writes the diagram of authority states into docs/authority.md."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def diagram() -> str:
 
 
 def page_with_diagram(text: str) -> str:
-    """The page with its diagram drawn anew."""
+    """The page with a new diagram."""
     return page_with(diagram(), text)
 
 

@@ -13,7 +13,7 @@ _CODES = {
     "int64_t": "q", "uint64_t": "Q", "float": "f", "double": "d", "bool": "?", "char": "s",
 }  # fmt: skip
 _OFFSETS_AT = 16 + 3 + 16
-"""Where the offsets of appended data stand: behind the header, the message's head and the flags."""
+"""Position of the offsets of appended data: after the file header, the message header and the flags."""
 
 
 class UlogWriter:
@@ -32,7 +32,7 @@ class UlogWriter:
         self.content += struct.pack("<H", len(content)) + kind.encode() + content
 
     def info(self, type_name: str, key: str, value: float | str) -> None:
-        """Append an information about the vehicle."""
+        """Append an information message about the vehicle."""
         self.message("I", self._pair(type_name, key, value))
 
     def parameter(self, type_name: str, key: str, value: float) -> None:
@@ -50,7 +50,7 @@ class UlogWriter:
         self._layouts[name] = layout
 
     def same(self, name: str, other: str) -> None:
-        """Describe a topic that has the fields of another one, by a format of its own."""
+        """Describe a topic with the same fields as another one, in a separate format definition."""
         self.define(name, self._fields[other])
 
     def subscribe(self, name: str, instance: int = 0) -> None:
@@ -59,20 +59,20 @@ class UlogWriter:
         self.message("A", struct.pack("<BH", instance, number) + name.encode())
 
     def data(self, name: str, *values: float | bytes, instance: int = 0) -> None:
-        """Append data of a topic; the values of arrays one after the other, texts as bytes."""
+        """Append data of a topic. Values of arrays follow one another, and texts are bytes."""
         number = self._numbers[name, instance]
         self.message("D", struct.pack("<H", number) + struct.pack("<" + self._layouts[name], *values))
 
     def text(self, time_us: int, severity: int, text: str) -> None:
-        """Append a text of the autopilot."""
+        """Append a log text of the autopilot."""
         self.message("L", struct.pack("<BQ", ord("0") + severity, time_us) + text.encode())
 
     def tagged(self, time_us: int, severity: int, text: str) -> None:
-        """Append a text with a tag."""
+        """Append a log text with a tag."""
         self.message("C", struct.pack("<BHQ", ord("0") + severity, 7, time_us) + text.encode())
 
     def dropout(self, milliseconds: int) -> None:
-        """Append the note that nothing was logged for a while."""
+        """Append a dropout message: nothing was logged for a while."""
         self.message("O", struct.pack("<H", milliseconds))
 
     def sync(self) -> None:
@@ -80,7 +80,7 @@ class UlogWriter:
         self.message("S", SYNC)
 
     def append_here(self) -> None:
-        """From here on data are appended to a file that was finished, or torn, before."""
+        """Mark the data from here on as appended to a file that was already finished or cut off."""
         flags = bytearray(self.content)
         flags[16 + 3 + 8] |= 1
         struct.pack_into("<Q", flags, _OFFSETS_AT + 8 * self._appended, len(flags))

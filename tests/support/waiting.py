@@ -1,4 +1,4 @@
-"""Waits for what another thread or process does."""
+"""Waits for a condition that another thread or process fulfils."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final, TypeVar
 T = TypeVar("T")
 
 PATIENCE_S: Final = 40.0
-"""Time after which something will never happen; generous, because machines are slow."""
+"""Time after which an event counts as missing; generous, because machines can be slow."""
 
 
 def until(
@@ -20,15 +20,15 @@ def until(
     meanwhile: Callable[[], object] = lambda: None,
     pause_s: float = 0.005,
 ) -> T:
-    """Wait until a condition holds, and return what it gives then.
+    """Wait until a condition is true. Returns its value.
 
     Args:
-        what: name of what is waited for.
-        meanwhile: what is done before each pause.
-        pause_s: time between two looks.
+        what: description of the awaited event.
+        meanwhile: called before each pause.
+        pause_s: time between two checks.
 
     Raises:
-        AssertionError: it does not hold within `patience_s`. The text names `what`.
+        AssertionError: the condition is not true within `patience_s`. The text contains `what`.
     """
     end_s = time.monotonic() + patience_s
     while not (found := condition()):

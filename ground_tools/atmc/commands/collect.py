@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ground_tools.atmc.learners.training import Job
 
 _OUT = Path(CONVERGENCE.name) if CHECKOUT is None else CONVERGENCE
-"""An installed copy keeps its own file as it came."""
+"""Default of --out. An installed copy writes to the working folder; its own results stay unchanged."""
 _FLEETS = 250
 _SEED = 3_000_017
 """Seed of the measurement. No run and no validation set uses it."""

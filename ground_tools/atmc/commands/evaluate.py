@@ -66,7 +66,7 @@ class Question:
     sigma_db: float = 0.0
     wifi_channels: Literal["shared", "random"] = "shared"
     guarded: bool = False
-    """Whether the policy decides with the guard that it has aboard (`companion.atmc.audible`)."""
+    """Whether the policy decides with the guard that is used aboard (`companion.atmc.audible`)."""
 
 
 class Frozen:
@@ -314,7 +314,7 @@ def decision_us(policy: Mind, neighbours: int, seen: tuple[Floats, Floats]) -> f
     """Median time (us) of one decision with the code that flies: NumPy, one thread, on this machine.
 
     Args:
-        seen: an own row, and neighbour rows that are repeated for so many neighbours.
+        seen: an own row, and neighbour rows that are repeated up to the number of neighbours.
     """
     own, rows = seen
     rows = np.resize(rows, (neighbours, len(NEIGHBOUR_COLUMNS))) if len(rows) else np.zeros((0, 8))

@@ -57,7 +57,7 @@ class AtmcParallelEnv(ParallelEnv[str, Float32s, int]):  # type: ignore[misc]
         objective: Objective | None = None,
     ) -> None:
         if objective is not None and (actions is not None or parameters is not None):
-            raise ValueError("objective: its channel has actions and parameters; give none beside it")
+            raise ValueError("objective: its channel has actions and parameters; leave out both arguments")
         self.possible_agents = [f"uav_{number}" for number in range(aircraft)]
         self.agents: list[str] = []
         self.render_mode = None

@@ -16,11 +16,11 @@ from ground_tools.atmc.env.environment import Observation
 class Plugged:
     """Asks the policy of a plug-in for one aircraft after the other. A `Decider`.
 
-    One policy decides for all aircraft, so it must keep nothing of earlier decisions.
+    One policy decides for all aircraft, so it must not keep state from earlier decisions.
 
     Args:
         allowed: shape (actions,), which actions may be chosen.
-        guarded: whether the guard decides with it that it has aboard (`companion.atmc.audible`).
+        guarded: whether the guard that is used aboard decides with it (`companion.atmc.audible`).
     """
 
     def __init__(self, policy: PluginPolicy, allowed: Bools, *, guarded: bool = False) -> None:

@@ -34,8 +34,9 @@ from ground_tools.atmc.learners.validation import Validation
 from sitl_mocks.channel.parameters import ChannelParameters
 
 _SILENCE_PRICE_S = 1e-4
-"""Price of sending one message per second less. An aircraft that hears no other may only be deaf, so it must
-stay easy to hear. Without this price, a fleet in which no message gets through would stay silent forever."""
+"""Price of sending one message per second less. An aircraft that hears no other may just be unable to
+receive, so it must remain easy to receive. Without this price, a fleet in which no message gets through would
+stay silent forever."""
 _TIE_PRICE = 0.01
 """Weight of an action's undisturbed delay, added to its cost. The paper's objective rates all actions equally
 that reach no other aircraft. Without this weight, an aircraft whose nearest neighbour is just out of reach

@@ -76,8 +76,8 @@ class Iac(PaperLearner):
         """Draw choices (N,) with the actors' probabilities."""
         with torch.no_grad():
             logits = self.actor.of_all(seen[None])[0]
-        # Exponential race: dividing exponential times by the probabilities, each choice has the least time
-        # with its own probability.
+        # Exponential race: exponential times are divided by the probabilities. Each choice then has the
+        # least time with its own probability.
         times = torch.empty_like(logits).exponential_(generator=self._generator)
         return (logits - times.log()).argmax(-1)
 

@@ -9,8 +9,8 @@ Choices are discrete, and an actor gives logits. There are two gradients for the
   probabilities times their values. The critic gives the value of each action, with the choices of the other
   aircraft as they were taken.
 - "gumbel": the straight-through Gumbel-softmax of discrete MADDPG, one sampled choice in the forward pass and
-  its softmax in the backward pass. The critic is then asked for a slope at corners, where it has learned
-  values only, and an actor that has become sure of a mode receives no gradient any more.
+  its softmax in the backward pass. This uses the critic's slope at the corners of the simplex, where the
+  critic has only learned values, and an actor that has become certain of a mode receives no gradient.
 
 As in MADQN-ATMC, the buffer holds 250 episodes, learning begins when it is full, and the last step of an
 episode does not end the task.
@@ -58,7 +58,7 @@ class MaddpgSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     learn_every: Count = 20
     """Steps from one update to the next; the original uses 100 steps."""
     discount: Share = 0.0
-    """0 because positions are drawn anew at every step: what follows depends on an action only through the
+    """0 because positions are redrawn at every step: later rewards depend on an action only through the
     previous actions that are observed."""
     actor_rate: Rate = 3e-4
     critic_rate: Rate = 1e-3
@@ -70,10 +70,11 @@ class MaddpgSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     temperature: Rate = 1.0
     """Temperature of the softmax in the backward pass of "gumbel"."""
     entropy: Rate = 0.05
-    """Weight of the entropy of the choices, which is subtracted from the actors' loss, in the end."""
+    """Final weight of the entropy of the choices, which is subtracted from the actors' loss."""
     first_entropy: Rate = 1.0
-    """The same when learning begins. The critics learn first which modes are good everywhere. An actor that
-    follows them at once becomes sure of one of these, and an actor that is sure hardly learns any more."""
+    """Weight of the entropy when learning begins. The critics learn first which modes are good everywhere. An
+    actor that follows them at once becomes certain of one of these, and an actor that is certain hardly
+    learns."""
     entropy_episodes: Count = 200
     """Episodes of learning over which the weight changes from the first to the last, by the same factor in
     each."""

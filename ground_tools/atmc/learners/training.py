@@ -264,7 +264,7 @@ def _replace(path: Path, data: bytes) -> None:
 
 @contextmanager
 def _stop_asked() -> Iterator[Callable[[], bool]]:
-    """Yield a function that tells whether SIGINT (Ctrl-C) or SIGTERM was received.
+    """Yield a function that returns whether SIGINT (Ctrl-C) or SIGTERM was received.
 
     The first signal restores its previous handler, so a second one ends the process.
     """

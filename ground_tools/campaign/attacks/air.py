@@ -1,9 +1,9 @@
-"""The air of an attacked flight: real frames, their signal strength, and when each receiver hears them.
+"""The radio medium of an attacked flight: real frames, their signal strengths, and their times of reception.
 
 The received power follows the channel model's log-distance law. The shadowing has a part that belongs to the
 link and a part that belongs to the frame. A frame below the transport's sensitivity is not heard. Frames of
-honest aircraft are also lost and delayed at random, as in the other campaigns; those of an attacker are
-neither, which favours the attack.
+honest aircraft are also lost and delayed at random, as in the other campaigns. Frames of an attacker are not,
+which favours the attack.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def path_loss_db(distance_m: float) -> float:
 
 
 class _Link:
-    """Shadowing, loss and delay from one sender to one receiver, drawn apart from those of all others."""
+    """Shadowing, loss and delay from one sender to one receiver, drawn independently of all other links."""
 
     def __init__(self, seed: int, sender: str, receiver: str) -> None:
         self.rng = np.random.default_rng([seed, zlib.crc32(sender.encode()), zlib.crc32(receiver.encode())])

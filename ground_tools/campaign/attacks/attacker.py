@@ -1,4 +1,4 @@
-"""What an attacker is: parameters, a transmitter with physical limits, and what it knows and sends."""
+"""An attacker: its parameters, a transmitter with physical limits, what it knows, and what it sends."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from ground_tools.campaign.attacks.scene import Scene
 
 FRAMES_PER_S: Final = {WIFI_BEACON: 200.0, BLE4: 50.0, BLE5: 50.0}
-"""Most frames a second that one transmitter sends. Bluetooth advertises every 20 ms at most; injected beacons
-are limited by the processor of a cheap module rather than by their 0.6 ms of airtime."""
+"""Greatest number of frames per second of one transmitter, by transport. Bluetooth advertises every 20 ms at
+most; injected beacons are limited by the processor of a cheap module rather than by their 0.6 ms of
+airtime."""
 _BURST_S: Final = 0.25
-"""Frames that were not sent may be sent later, up to those of this time."""
+"""Unused frames may be sent later, up to the number that is possible in this time."""
 ADSB_PERIOD_S: Final = 1.0
-"""The autopilot reports each aircraft of its ADS-B receiver once a second."""
+"""Period at which the autopilot reports each aircraft that its ADS-B receiver hears."""
 
 
 class Parameter(msgspec.Struct, frozen=True):
@@ -41,7 +42,8 @@ PLACE: Final = (
     Parameter("place_turn", 0.0, 1.0),
     Parameter("power_dbm", 5.0, 30.0),
 )
-"""Where the transmitter stands, from below the meeting point, and its power."""
+"""Parameters of the transmitter: its position relative to the point below the meeting point, and its
+power."""
 
 Values = dict[str, float]
 """Parameters of one attack by name."""
@@ -57,7 +59,7 @@ class Aircraft:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What the attacker knows. Every aircraft broadcasts its state, so the attacker knows the true ones."""
+    """What the attacker knows: the true states, because every aircraft broadcasts its state."""
 
     own: Aircraft
     honest: tuple[Aircraft, ...]
@@ -76,7 +78,7 @@ class Sent:
     messages: tuple[Message, ...] = ()
     frame: bytes = b""
     quieter_db: float = 0.0
-    """How far below its full power the transmitter sends."""
+    """Reduction of the transmit power from full power, dB."""
 
 
 @dataclass(slots=True)
@@ -88,7 +90,7 @@ class Budget:
     )
 
     def pass_time(self, elapsed_s: float) -> None:
-        """Let time pass in which frames become possible."""
+        """Advance the time; new frames become possible."""
         for transport, rate in FRAMES_PER_S.items():
             self._left[transport] = min(self._left[transport] + rate * elapsed_s, _BURST_S * rate)
 
@@ -101,13 +103,13 @@ class Budget:
 
 
 class Attacker(Protocol):
-    """Computes what is sent in one flight."""
+    """Computes the attacker's transmissions in one flight."""
 
     def send(self, now_s: float, view: View) -> list[Sent]:
         """Frames to send in this step, the most important first."""
 
     def overhear(self, now_s: float, sender: str, transport: str, address: str, frame: bytes) -> None:
-        """Take in a frame of an honest aircraft or of the own one."""
+        """Receive a frame of an honest aircraft or of the own aircraft."""
 
     def reports(self, now_s: float, view: View) -> list[AdsbVehicle]:
         """Aircraft that the forged ADS-B signals show to the autopilot's receiver in this step."""
@@ -141,7 +143,7 @@ class Silent:
 
 
 class Clock:
-    """Says how many frames are due at a rate."""
+    """Counts the frames that are due at a rate."""
 
     def __init__(self, begin_s: float) -> None:
         self._due_s = begin_s
@@ -156,7 +158,7 @@ class Clock:
 
 
 def place_of(values: Values) -> Vec3:
-    """Where the transmitter stands (NED, m): on the ground."""
+    """Position of the transmitter (NED, m), which is on the ground."""
     away, turn = values.get("place_m", 100.0), 2.0 * math.pi * values.get("place_turn", 0.0)
     return away * math.cos(turn), away * math.sin(turn), -2.0
 
@@ -174,7 +176,7 @@ def plus(a: Vec3, b: Vec3, times: float = 1.0) -> Vec3:
 
 
 def unit(vector: Vec3) -> Vec3:
-    """The direction of a vector; north for none."""
+    """The unit vector in a vector's direction; north for a zero vector."""
     length = math.hypot(*vector)
     if length < 1e-9:
         return 1.0, 0.0, 0.0

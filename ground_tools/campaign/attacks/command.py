@@ -102,7 +102,7 @@ def _file(folder: Path, cell: Cell) -> Kept[Row]:
 
 
 def _run_worst(args: argparse.Namespace, seeds: Sequence[int], jobs: int) -> int:
-    """Search each kind in the encounter of each seed; print what was found, the worst first."""
+    """Search each kind in the encounter of each seed. Prints the attacks found, the worst first."""
     if not 10 <= args.evaluations <= 100_000:
         raise ConfigError(f"--evaluations: {args.evaluations} is out of range; allowed: 10 to 100000")
     if args.out is not None:
@@ -132,7 +132,7 @@ def _run_worst(args: argparse.Namespace, seeds: Sequence[int], jobs: int) -> int
 
 
 def _keep(folder: Path, found: search.Found) -> None:
-    """Write the worst case of a search so far."""
+    """Write the worst case that a search has found so far."""
     case = kept.Case(
         about=f"{found.harm}: the worst of {found.evaluations} flights of a search",
         cell=found.cell,

@@ -1,4 +1,5 @@
-"""Attacks with an honest aircraft's own identity or words: copies, shifted clocks, recordings, and lies."""
+"""Attacks with an honest aircraft's identity or messages: clones, shifted clocks, replays, and false
+positions."""
 
 from __future__ import annotations
 
@@ -53,7 +54,7 @@ _MOST_RECORDED: Final = 2000
 class Clone(Silent):
     """Sends the identity and the radio address of the first honest aircraft, from a place beside it.
 
-    With `lead_s` its timestamps are ahead of the true time, or behind.
+    Its timestamps are `lead_s` ahead of the true time, or behind it if `lead_s` is negative.
     """
 
     def __init__(self, values: Values, scene: Scene, rng: np.random.Generator) -> None:
@@ -85,9 +86,9 @@ class Liar(Silent):
 
 
 class Replay(Silent):
-    """Records frames and sends them again, unchanged, `delay_s` later.
+    """Records frames and sends them again, unchanged, after `delay_s`.
 
-    `whose` decides which: those of the first honest aircraft, of the own aircraft, or of everybody.
+    `whose` selects the frames of the first honest aircraft, of the own aircraft, or of everybody.
     """
 
     def __init__(self, values: Values, scene: Scene, rng: np.random.Generator) -> None:

@@ -1,6 +1,6 @@
 """The aircraft of an attacked flight: a vehicle model with the companion's core, and aircraft without one.
 
-The vehicle is that of the other campaigns: its velocity follows a command with a lag and a limited
+The vehicle model is that of the other campaigns: the velocity follows a command with a lag and a limited
 acceleration. It reports to the core in events, as the link would read them from its telemetry.
 """
 
@@ -55,12 +55,12 @@ from sitl_mocks.encounters.lockstep import UTC_AT_START_S
 
 STEP_S: Final = 0.05
 OWN, PEER = "OWN", "PEER"
-"""Identity of the own aircraft; prefix of those of the honest ones."""
+"""Identity of the own aircraft, and prefix of the identities of honest aircraft."""
 _WORLD: Final = World()
 _LAG_S, _ACCELERATION_MPS2 = _WORLD.lag_s, _WORLD.acceleration_mps2
 _SIGMA_M, _SIGMA_MEMORY_S = _WORLD.sigma_m, _WORLD.sigma_memory_s
 _SILENT_S: Final = 1.0
-"""Without setpoints for this long the vehicle stops."""
+"""Time without setpoints after which the vehicle stops."""
 _REACHED_M: Final = 3.0
 _LANDING_MPS: Final = 1.0
 _WAYPOINT: Final = 16
@@ -75,7 +75,7 @@ class Navigation:
         self._error = _SIGMA_M * rng.standard_normal(3)
 
     def of(self, place: Vec3, elapsed_s: float) -> Vec3:
-        """Measured position (NED, m) `elapsed_s` after the last one."""
+        """Measured position (NED, m) for a true one, `elapsed_s` after the last measurement."""
         keep = math.exp(-elapsed_s / _SIGMA_MEMORY_S)
         fresh = math.sqrt(1.0 - keep * keep) * _SIGMA_M
         self._error = keep * self._error + fresh * self._rng.standard_normal(3)
@@ -90,7 +90,7 @@ class Body:
         self.position, self.velocity, self.command = position, velocity, velocity
 
     def move(self) -> None:
-        """Move by one step."""
+        """Move by one time step."""
         a = [(c - v) / _LAG_S for c, v in zip(self.command, self.velocity, strict=True)]
         size = math.hypot(*a)
         if size > _ACCELERATION_MPS2:
@@ -191,7 +191,8 @@ class Guided:
         return tuple(items)
 
     def _telemetry(self, now_s: float) -> list[Event]:
-        """Positions ten times a second, modes and states once a second."""
+        """The telemetry that is due in this step: positions ten times a second, modes and states once a
+        second."""
         found: list[Event] = []
         if self._count % 20 == 0:
             dialect = DIALECTS[self._firmware]
@@ -235,7 +236,7 @@ def own_aircraft(scene: Scene, rng: np.random.Generator) -> Guided:
 
 
 def avoiding_aircraft(scene: Scene, number: int, rng: np.random.Generator) -> Guided:
-    """An honest aircraft of a scene that avoids."""
+    """One of a scene's honest aircraft that avoid others, with its companion."""
     honest, name = scene.honest[number], f"{PEER}{number}"
     times = BEGIN_S - scene.meeting_s, scene.end_s + 60.0 - scene.meeting_s
     begin, end = ((scene.meeting_s + t, honest.state(t)[0]) for t in times)
@@ -252,7 +253,7 @@ def _config(
     rate: int,
     fence: tuple[FenceArea, ...] = (),
 ) -> Config:
-    """Configuration of a companion with the defaults wherever the scene does not say otherwise."""
+    """Configuration of a companion: the defaults, except for what the scene sets."""
     points = []
     for at_s, place in path:
         lat, lon, alt = geodetic(place)
@@ -275,7 +276,7 @@ def _config(
 
 
 def _lane(scene: Scene, half_width_m: float) -> FenceArea:
-    """An inclusion area along the own path."""
+    """A fence around the own path: one inclusion area."""
     corners = []
     for at_s, side in ((0.0, -1.0), (scene.end_s + 90.0, -1.0), (scene.end_s + 90.0, 1.0), (0.0, 1.0)):
         north, east, down = scene.planned(at_s if at_s else -30.0)

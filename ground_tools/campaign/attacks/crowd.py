@@ -39,11 +39,11 @@ PARAMETERS: Final = (
     Parameter("quieter_db", 0.0, 15.0),
 )
 _BACK_S: Final = 20.0
-"""A fake that closes in begins again at its first distance after this time."""
+"""Time after which a fake that approaches starts again at its first distance."""
 
 
 class Crowd(Silent):
-    """Fakes that fly along with the own aircraft in a ring or a sector around it.
+    """Fake aircraft that fly along with the own aircraft, in a ring or a sector around it.
 
     `begin_s` decides whether they appear before or after the honest aircraft is heard, `closing_mps` whether
     they are in conflict (below 0: they fly along), `renamed_s` how often all of them take new identities, and

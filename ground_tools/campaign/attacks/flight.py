@@ -1,8 +1,9 @@
-"""Flies one attacked encounter in lock-step, in one thread and in virtual time.
+"""Flies one encounter under attack in lock-step: in one thread and in virtual time.
 
-Every step of 0.05 s the aircraft send what is due, the attacker sends what its budget allows, and each
-companion takes in what has arrived and steps once, as in its flight loop. The core gets telemetry as events;
-the Remote ID is encoded to frames and decoded again. The gate and MAVLink have no part in it.
+In every step of 0.05 s, the aircraft send the frames that are due, the attacker sends as many frames as its
+budget allows, and each companion receives the frames that have arrived and steps once, as in its flight loop.
+The core gets telemetry as events. Remote ID is encoded to frames and decoded again. Gate and MAVLink are left
+out.
 """
 
 from __future__ import annotations
@@ -50,11 +51,11 @@ class Plain:
 
     @property
     def address(self) -> str:
-        """Its radio address."""
+        """Radio address of its Remote ID."""
         return self._sender.address
 
     def at(self, now_s: float) -> Aircraft:
-        """Its true state."""
+        """Its true state at a time."""
         return Aircraft(*self._honest.state(now_s - self._scene.meeting_s))
 
     def frames(self, now_s: float, lie: Vec3) -> list[bytes]:
@@ -178,7 +179,7 @@ def fly(cell: Cell, seed: int, attack: Attack | None = None) -> Row:
 
 
 def judged(world: World, met: str) -> Row:
-    """Fly a world to its end and judge it."""
+    """Fly a world to its end. Returns its outcome."""
     scene, judge = world.scene, Judge(world.scene, met)
     avoids = [True, *(isinstance(h, Guided) for h in world.honest)]
     for tick in range(math.ceil(scene.end_s / STEP_S)):

@@ -1,4 +1,5 @@
-"""Ghosts that fly with the own aircraft and push it, by Remote ID or by ADS-B, and a free mixture of all."""
+"""Ghost aircraft that fly with the own aircraft and push it, by Remote ID or ADS-B; and free mixtures of
+attacks."""
 
 from __future__ import annotations
 
@@ -76,7 +77,7 @@ _LIGHT: Final = 1
 
 
 class Herd(Silent):
-    """A ghost that keeps its place beside the own aircraft and always seems to fly into it."""
+    """A ghost that stays beside the own aircraft and always seems to fly into it."""
 
     def __init__(self, values: Values, scene: Scene, rng: np.random.Generator) -> None:
         super().__init__(values, scene, rng)
@@ -99,7 +100,7 @@ class Herd(Silent):
         herd = herd_of(self.scene.seed)
         forward, right, down = _BASES.get(herd, (0.0, -self._side, 0.0))
         if herd == "aircraft" and view.honest:
-            # From the side that is opposite to the honest aircraft.
+            # On the side opposite to the honest aircraft, so that it pushes towards that aircraft.
             gap = turned(plus(view.honest[0].position, view.own.position, -1.0), -heading)
             right = -1.0 if gap[1] > 0.0 else 1.0
         offset = (
@@ -114,7 +115,7 @@ class Herd(Silent):
 
 
 class Adsb(Herd):
-    """The same ghost as a crewed aircraft that the autopilot's ADS-B receiver hears."""
+    """The same ghost, as a crewed aircraft that the autopilot's ADS-B receiver hears."""
 
     def __init__(self, values: Values, scene: Scene, rng: np.random.Generator) -> None:
         super().__init__({**values, "rate": 1.0 / ADSB_PERIOD_S}, scene, rng)
@@ -146,9 +147,9 @@ class Adsb(Herd):
 class Free(Silent):
     """Several senders, each of which copies the first honest aircraft, the own one, or nobody.
 
-    `who` below 0.4 sends an identity of its own beside the own aircraft; up to 0.8, identity and address of
-    the honest aircraft beside that; up to 0.9, that identity from another address; above, the own aircraft's
-    identity.
+    `who` selects what a sender sends. Below 0.4: a new identity, beside the own aircraft. Up to 0.8: identity
+    and address of the first honest aircraft, beside that aircraft. Up to 0.9: that identity from another
+    address. Above: the own aircraft's identity.
     """
 
     def __init__(self, values: Values, scene: Scene, rng: np.random.Generator) -> None:

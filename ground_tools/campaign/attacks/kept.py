@@ -1,4 +1,4 @@
-"""Attacks kept as files, which are flown again: the worst cases that searches found."""
+"""Attacks kept as files that are flown again as tests: the worst cases that searches found."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ class Case(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """One kept attack."""
 
     about: str
-    """What it does, in words."""
+    """Description of the attack."""
     cell: Cell
     seed: int
     attack: Attack
     found: Row
-    """Outcome when it was found."""
+    """Outcome of the flight when the attack was found."""
     found_with: str
-    """Digest of the software that it was found with (`software`)."""
+    """Digest of the software with which it was found (`software`)."""
     at_least_m: float | None = None
-    """Separation that the flight has to keep from now on; None: not promised yet."""
+    """Least separation that the flight must keep; None: no requirement yet."""
     most_aside_m: float | None = None
-    """Largest horizontal distance from the path that is allowed from now on; None: not promised yet."""
+    """Largest allowed horizontal distance from the path; None: no requirement yet."""
 
 
 @cache
@@ -71,7 +71,7 @@ def fly(case: Case) -> Row:
 
 
 def broken(case: Case, row: Row) -> list[str]:
-    """What the case promises and a flight did not keep, in words."""
+    """The requirements of a case that a flight did not keep, as text."""
     found = []
     if case.at_least_m is not None and row.separation_m is not None and row.separation_m < case.at_least_m:
         found.append(f"separation {row.separation_m:g} m, promised {case.at_least_m:g} m")

@@ -25,9 +25,9 @@ SEPARATION_M: Final = 47.0
 def geodetic(place: Vec3) -> Vec3:
     """Latitude, longitude (deg) and height above mean sea level (m) of a NED position.
 
-    The result is that of `LocalFrame.to_geodetic`, by one step of B. R. Bowring's formula (1976), which is
-    exact to micrometres near the ground. It takes a twentieth of the time, and half of a flight's time went
-    there.
+    The result equals that of `LocalFrame.to_geodetic`, but comes from one step of B. R. Bowring's formula
+    (1976), which is exact to micrometres near the ground. It takes a twentieth of the time; the other
+    function took half of a flight's computing time.
     """
     north, east, down = place
     outward = -_COS_LAT * down - _SIN_LAT * north

@@ -1,4 +1,4 @@
-"""Judges an attacked flight by the true positions of the aircraft and nothing else."""
+"""Evaluates an attacked flight from the true positions of the aircraft only."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from ground_tools.campaign.attacks.scene import BEGIN_S, Scene
 SEPARATION_M: Final = 2.0 * AvoidanceConfig().conflict_radius_m
 HIT_M: Final = 2.0
 AWAY_M: Final = 15.0
-"""An aircraft that flies its path itself counts as held while it is farther than this from its timed point. A
-start from rest counts, too: the return within 15 s takes up to some 12 s of it at 15 m/s."""
+"""With `fly`, the own aircraft counts as held while it is farther than this from its timed point. A start
+from rest counts too: of the return within 15 s, up to about 12 s count at 15 m/s."""
 
 
 class Row(msgspec.Struct, frozen=True):
@@ -26,21 +26,21 @@ class Row(msgspec.Struct, frozen=True):
     seed: int
     use: str
     met: str
-    """How the aircraft on collision course fly, or where a herding ghost pushes."""
+    """How the aircraft on collision course flies, or the direction in which a herding ghost pushes."""
     separation_m: float | None
-    """Least distance of the own aircraft, or of another one that avoids, from an honest aircraft; None
-    without one."""
+    """Least distance between an avoiding aircraft (the own one or another) and an honest aircraft; None
+    without honest aircraft."""
     at_s: float
     """Time of that least distance."""
     held_s: float
     """Time during which the own aircraft did not fly its mission (guard) or was not at its timed point
     (fly)."""
     longest_s: float
-    """Longest uninterrupted part of it."""
+    """Longest uninterrupted part of `held_s`."""
     aside_m: float
     """Largest horizontal distance from the own path's line."""
     up_m: float
-    """Largest height above the own path; likewise below it."""
+    """Largest height above the own path; `down_m` likewise below it."""
     down_m: float
     lowest_m: float
     """Least height above home."""
@@ -54,7 +54,7 @@ class Row(msgspec.Struct, frozen=True):
 
     @property
     def hit(self) -> bool:
-        """Whether two aircraft hit."""
+        """Whether two aircraft collided."""
         return self.separation_m is not None and self.separation_m < HIT_M
 
 
@@ -80,12 +80,12 @@ class Judge:
         *,
         on_mission: bool | None,
     ) -> None:
-        """Take in the true positions (NED, m) after a step.
+        """Update the outcome with the true positions (NED, m) after a step.
 
         Args:
             elapsed_s: duration of the step.
             places: the own aircraft first.
-            avoids: which of them have a companion.
+            avoids: whether each aircraft has a companion that avoids.
             on_mission: whether the own vehicle flies its mission itself; None: the companion flies the path.
         """
         self._near(now_s, tuple(places), avoids)
@@ -148,7 +148,7 @@ def least_distance(a: Vec3, b: Vec3, a_after: Vec3, b_after: Vec3) -> float:
 
 
 def quantiles(values: Floats) -> dict[str, float]:
-    """Least, 1 %, 5 % and 50 % of some values."""
+    """Least value, 1 % and 5 % quantiles, and median of some values."""
     ordered = sorted(values.tolist())
     picks = {"least": 0.0, "p1": 0.01, "p5": 0.05, "median": 0.5}
     return {name: round(ordered[int(share * (len(ordered) - 1))], 3) for name, share in picks.items()}

@@ -1,7 +1,7 @@
-"""Draws the encounter that an attack is flown in: own aircraft, honest aircraft, and what they report.
+"""Draws the encounter in which an attack is flown: own aircraft, honest aircraft, and what they report.
 
-The paths cross at the origin of the home frame at `Scene.meeting_s`. Flown as planned, own aircraft and
-intruder lose separation there.
+The paths cross at the origin of the home frame at `Scene.meeting_s`. If both fly as planned, the own aircraft
+and the intruder lose separation there.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ MANNERS: Final = ("blind", "turning", "avoiding", "mixed")
 
 HOME: Final = LocalFrame(*ORIGIN)
 BEGIN_S: Final = 5.0
-"""The paths begin at this time, when the companion has had time to read the vehicle's mission."""
+"""Time at which the paths begin. Until then the companion reads the vehicle's mission."""
 _MEETING_S: Final = 40.0
 _AFTER_S: Final = 25.0
 LONG_S: Final = 300.0
-"""Duration of a flight that measures how long and how far an aircraft can be led."""
+"""Duration of a flight that measures for how long and how far an attacker can lead an aircraft away."""
 _FENCE_M: Final = 60.0
 _LANE_M: Final = 60.0
-"""Distance of the aircraft that flies beside the own one when a ghost pushes towards it."""
+"""Distance of the parallel aircraft towards which a ghost pushes the own aircraft."""
 LEADING: Final = ("herd", "adsb")
 """Kinds of attack that lead an aircraft away."""
 HERDS: Final = ("up", "down", "aside", "fence", "aircraft")
-"""Where a herding ghost pushes, by the seed's remainder."""
+"""Direction in which a herding ghost pushes, by the seed modulo the length."""
 _MOST_TURN_RADPS: Final = math.radians(3.0)
 _SLOW_MPS, _FAST_MPS = 6.0, 20.0
 _SECOND_AFTER_S: Final = 10.0
-"""The second aircraft on collision course arrives later by this."""
+"""Delay of the second aircraft on collision course behind the first."""
 _SENDS_FROM_S: Final = 20.0
 _RESERVE: Final = 1.4
-"""Greatest speed over planned speed."""
+"""Greatest speed divided by planned speed."""
 
 
 class Honest(msgspec.Struct, frozen=True, kw_only=True):
-    """An honest aircraft. It flies a line or an arc of constant speed at a constant height."""
+    """An honest aircraft. It flies a straight line or an arc, at constant speed and height."""
 
     manner: Manner
     speed_mps: float
@@ -57,8 +57,8 @@ class Honest(msgspec.Struct, frozen=True, kw_only=True):
     rate: int
     """Location messages per second."""
     sends_from_s: float = 0.0
-    """Time of its first message: it took off, or came out of a building's shadow. An aircraft that avoids
-    sends throughout."""
+    """Time of its first message, as after a take-off or from behind a building. An aircraft that avoids sends
+    throughout."""
 
     def state(self, along_s: float) -> tuple[Vec3, Vec3]:
         """Position (m) and velocity (m/s), NED.
@@ -93,7 +93,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Scene(msgspec.Struct, frozen=True, kw_only=True):
-    """One encounter, fully drawn."""
+    """One encounter with all random values drawn."""
 
     seed: int
     use: Use
@@ -121,7 +121,8 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def baseline(cell: Cell) -> Cell:
-    """The same flights without the attack. Kinds that are flown in the same encounters share it."""
+    """The cell with the same flights without the attack. Kinds that are flown in the same encounters share
+    it."""
     kind = cell.kind
     if kind in LEADING:
         kind = LEADING[0]
@@ -131,12 +132,13 @@ def baseline(cell: Cell) -> Cell:
 
 
 def herd_of(seed: int) -> str:
-    """Where the herding ghost of a seed pushes."""
+    """Direction in which the herding ghost of a seed pushes."""
     return HERDS[seed % len(HERDS)]
 
 
 def draw(cell: Cell, seed: int) -> Scene:
-    """Draw the encounter of a seed. Cells that differ only in `attacked` and `signal` have the same."""
+    """Draw the encounter of a seed. Cells that differ only in `attacked` and `signal` have the same
+    encounter."""
     rng = np.random.default_rng([seed, 11])
     leads = cell.kind in LEADING
     use: Use = "guard" if leads else ("guard", "fly")[seed % 2]
@@ -162,7 +164,7 @@ def draw(cell: Cell, seed: int) -> Scene:
 
 
 def _meeting(rng: np.random.Generator, cell: Cell, heading: float, height: float) -> tuple[Honest, ...]:
-    """One or two aircraft on collision course (two in one flight of five), and up to three bystanders."""
+    """One or two aircraft on collision course (two in a fifth of the flights), and up to three bystanders."""
     found = []
     for number in range(1 + (rng.random() < 0.2)):
         manner = str(rng.choice(["blind", "turning", "avoiding"], p=[0.5, 0.2, 0.3]))
@@ -214,7 +216,7 @@ def _bystanders(rng: np.random.Generator, height: float) -> tuple[Honest, ...]:
 def _beside(
     rng: np.random.Generator, speed: float, heading: float, height: float, seed: int
 ) -> tuple[Honest, ...]:
-    """For a ghost that pushes towards an aircraft: one that flies parallel to the own path."""
+    """The honest aircraft for a ghost that pushes towards it: it flies parallel to the own path."""
     if herd_of(seed) != "aircraft":
         return ()
     side = float(rng.choice([-1.0, 1.0])) * _LANE_M

@@ -1,7 +1,8 @@
 """Searches for the worst attack of a kind with CMA-ES (N. Hansen, "The CMA Evolution Strategy", 2016).
 
 The search runs in the unit cube, one coordinate for each parameter of the kind, so that no attack leaves its
-transmitter's physical limits. Every evaluation flies one encounter. A scene and a seed give the same search.
+transmitter's physical limits. Every evaluation flies one encounter. The same scene and seed give the same
+search.
 """
 
 from __future__ import annotations
@@ -24,18 +25,18 @@ Harm = Literal["separation", "held", "aside", "height", "fence"]
 HARMS: Final = ("separation", "held", "aside", "height", "fence")
 _FIRST_SIGMA: Final = 0.3
 _ALONE_M: Final = 1000.0
-"""Separation of an aircraft that meets nobody."""
+"""Separation that counts for an aircraft that meets nobody."""
 
 
 Flight = tuple[Cell, int, Attack]
-"""Encounter of a seed, and the attack that is flown in it."""
+"""Seed of an encounter, and the attack that is flown in it."""
 
 
 class Flown(msgspec.Struct, frozen=True):
-    """Outcome of one flight of a search, as a results file keeps it."""
+    """Outcome of one flight of a search, as stored in a results file."""
 
     number: int
-    """Place of the flight in the search, from 0."""
+    """Index of the flight in the search, from 0."""
     row: Row
 
 
@@ -53,7 +54,7 @@ class Found(msgspec.Struct, frozen=True):
 
 
 def harm_of(row: Row, harm: Harm) -> float:
-    """How much harm a flight shows, the more the larger; m, or s for "held"."""
+    """Harm of a flight; larger is worse. In m, or in s for "held"."""
     match harm:
         case "separation":
             return -(_ALONE_M if row.separation_m is None else row.separation_m)
@@ -76,7 +77,7 @@ def worst(
 
     Args:
         budget: number of flights.
-        told: called after each generation with the worst so far.
+        told: callback, called after each generation with the worst attack so far.
 
     Raises:
         ConfigError: the package `cma` is not installed.
@@ -109,7 +110,7 @@ def worst(
             strategy.tell(points, [-harm_of(row, harm) for row in rows])
             if told is not None:
                 told(best)
-        # A search that has converged begins anew elsewhere.
+        # A search that has converged restarts from another point.
         start = np.random.default_rng([seed, 23, flown]).random(count)
         options["seed"] += 1
     assert best is not None
@@ -119,10 +120,10 @@ def worst(
 def resumed(
     work: Generator[list[Flight], list[Row], Found], file: Kept[Flown]
 ) -> Generator[list[Flight], list[Row], Found]:
-    """Take the outcomes that a results file has from there, and add those of the other flights to it.
+    """Use the outcomes that a results file already has, and add those of new flights to it.
 
-    A search depends only on its seed and the outcomes, so that one that was interrupted, or ended with fewer
-    evaluations, goes on where it was.
+    A search depends only on its seed and the outcomes. Therefore a search that was interrupted, or that ended
+    with fewer evaluations, continues where it stopped.
 
     Raises:
         ConfigError: the file cannot be written.

@@ -1,4 +1,4 @@
-"""Sums up attacked flights beside the same flights without the attack, as numbers and as a Markdown table."""
+"""Summarises attacked flights and the same flights without the attack, as numbers and as a Markdown table."""
 
 from __future__ import annotations
 

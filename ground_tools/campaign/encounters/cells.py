@@ -1,4 +1,4 @@
-"""The encounters of one kind, and the outcome of each: drawn, flown without and with avoidance, judged."""
+"""Encounters of one kind: each is drawn, flown without and with avoidance, and evaluated."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     own: Own = "hover"
     """Speed of our own aircraft over ground, m/s."""
     altitude: Altitude = "geometric"
-    """Altitude that the crewed aircraft sends; pressure: its pressure altitude, and ours is known;
-    barometric: the same, and ours is not known; unheard: it sends nothing."""
+    """Altitude that the crewed aircraft sends. pressure: pressure altitude, and we know our own. barometric:
+    pressure altitude, and we do not know our own. unheard: it sends nothing."""
     horizontal_m: Annotated[float, Meta(gt=0)] = AvoidanceConfig().crewed_horizontal_m
     """Separation from crewed traffic that the law keeps."""
     vertical_m: Annotated[float, Meta(gt=0)] = AvoidanceConfig().crewed_vertical_m
@@ -67,7 +67,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     range_m: Annotated[float, Meta(gt=0)] = 50_000.0
     """Distance within which messages are received."""
     aside_m: Annotated[float, Meta(gt=0)] = WELL_CLEAR.aside_m
-    """Window through which the crewed aircraft passes: distance to the side, and in height."""
+    """Half width of the window through which the crewed aircraft passes; `height_m` is its half height."""
     height_m: Annotated[float, Meta(gt=0)] = WELL_CLEAR.height_m
 
     @property
@@ -77,7 +77,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def reach_m(self) -> tuple[float, float]:
-        """How far the containment lets crewed traffic push our own aircraft to the side, and up."""
+        """How far the containment allows crewed traffic to push our own aircraft to the side, and up (m)."""
         return reach_m(ContainmentConfig(), self.avoidance)
 
     @property
@@ -94,7 +94,7 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     weight: float
     """Importance weight."""
     nmac: bool
-    """Whether it ended in a near mid-air collision; `_unavoided`: without avoidance."""
+    """Whether there was a near mid-air collision. Fields that end in `_unavoided` apply without avoidance."""
     nmac_unavoided: bool
     lowc_s: float | None
     """When well clear was first lost; None: never."""
@@ -104,7 +104,7 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     deviation_m: float
     """Largest distance of our own aircraft from its timed point."""
     back_m: float
-    """The same at the end."""
+    """Distance from the timed point at the end."""
     aside_m: float
     """Largest distance from the line of its path."""
 
@@ -119,7 +119,7 @@ def fly(cell: Cell, model: Model, seeds: Sequence[int]) -> list[Row]:
 
 
 def draw(cell: Cell, model: Model, seed: int) -> pairing.Encounter:
-    """The encounter of a seed. It depends on model, own speed and window alone.
+    """The encounter of a seed. It depends only on the model, the own speed and the window.
 
     Raises:
         ConfigError: the model cannot be drawn from.
@@ -133,7 +133,7 @@ def draw(cell: Cell, model: Model, seed: int) -> pairing.Encounter:
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, the code of a flight."""
+    """Compile the code of a flight, or load it from the cache."""
     still, received = np.zeros((2, 3)), flight.Received(flight.UNHEARD, 1.0, 0.0)
     path = Trajectory([0.0, 1.0], [(0.0, 0.0, -80.0)] * 2)
     law = settings_of(AvoidanceConfig(), LimitsConfig(), path)
@@ -152,7 +152,7 @@ def flown(cell: Cell, encounter: pairing.Encounter, seed: int, *, avoids: bool) 
         WORLD, loss=cell.loss, ceiling_m=min(WORLD.ceiling_m, above_m - float(encounter.own_points[0, 2]))
     )
     return flight.fly(
-        np.random.default_rng([seed, 7]),  # the same with and without, so that they differ in the law alone
+        np.random.default_rng([seed, 7]),  # same draws with and without avoidance
         world.conditions(avoidance.period_s),
         own,
         (encounter.position, encounter.velocity),

@@ -121,7 +121,7 @@ def fly_missing(
 
 
 def _work(args: argparse.Namespace, words: Console) -> Work:
-    """The function that flies: with processes of this machine or on a cluster."""
+    """The function that runs the work: in processes on this machine, or on a cluster."""
     if args.ray is None:
         processes = processes_of(args.processes)
 

@@ -1,8 +1,8 @@
 """Flies our own aircraft through one encounter, in compiled code, with the companion's own law.
 
 The decision is `companion.avoidance.kernels.decide`, the same that the companion makes in flight; motion and
-messages are those of the campaign (`vehicles`). The crewed aircraft keeps to its track exactly, whatever
-happens. It is received as ADS-B, once a second.
+messages are those of the campaign (`vehicles`). The crewed aircraft follows its track exactly and never
+reacts. It is received by ADS-B, once a second.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ from ground_tools.campaign.vehicles import (
 from ground_tools.campaign.world import Conditions
 
 UNHEARD, GEOMETRIC, BAROMETRIC, PRESSURE = range(4)
-"""How the crewed aircraft is received: not at all, or with the altitude that ADS-B reports. BAROMETRIC:
-pressure altitude, and ours is not known. PRESSURE: ours is known."""
+"""How the crewed aircraft is received. UNHEARD: not at all. GEOMETRIC: with its geometric altitude.
+BAROMETRIC: with its pressure altitude, and we do not know our own. PRESSURE: with its pressure altitude, and
+we know our own."""
 
 
 class Received(NamedTuple):
@@ -44,7 +45,8 @@ class Received(NamedTuple):
     range_m: float
     """Distance within which its messages are received."""
     height_error_m: float
-    """Error of the difference of both pressure altitudes, positive if it seems too high; for PRESSURE."""
+    """For PRESSURE: error of the difference of both pressure altitudes; positive if the crewed aircraft seems
+    too high."""
 
 
 # Entries of `result`.
@@ -130,7 +132,7 @@ def _fly(
         _receive(now, craft, heard)
         if tick % every == 0:
             own = _own(world, now, craft)
-            # As a literal 0 or 1, numba would compile the whole law for each, and then again.
+            # Not literals: numba would compile the whole law once more for each literal value.
             count = int(np.int64(_look(now, received, own.position.d, heard, neighbours)))
             decision = k.decide(neighbours, count, own, path, fence, settings, state, history, work)
             state = decision.state
@@ -176,7 +178,7 @@ def _own(world: Conditions, now: float, craft: Fleet) -> k.Own:
 
 @compiled(inline="always")
 def _receive(now: float, craft: Fleet, heard: Floats) -> None:
-    """Take the messages that have arrived; the latest one counts."""
+    """Process the messages that have arrived; the latest one counts."""
     for slot in range(craft.arrival.shape[2]):
         if craft.arrival[_OWN, _OTHER, slot] <= now:
             craft.arrival[_OWN, _OTHER, slot] = math.inf

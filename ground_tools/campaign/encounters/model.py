@@ -2,7 +2,7 @@
 
 A file describes a dynamic Bayesian network of one aircraft in two parts. The initial network draws the region
 G, airspace class A, altitude layer L, airspeed v, acceleration, vertical rate and turn rate; the transition
-network draws the last three anew every second. Each part has its labels, its graph (row = parent), the number
+network redraws the last three every second. Each part has its labels, its graph (row = parent), the number
 of bins of each variable, and the counts with which they were observed. The format is that of `em_read.m` in
 that repository (MIT Lincoln Laboratory, BSD 2-Clause; project report ATC-345).
 """
@@ -32,7 +32,7 @@ SECTIONS: Final = (
     "r_transition", "N_transition", "boundaries", "resample_rates",
 )  # fmt: skip
 _LARGEST_FILE: Final = 16_000_000
-"""Bytes."""
+"""Largest accepted file, bytes."""
 _MOST_BINS: Final = 100
 _MOST_COUNTS: Final = 2_000_000
 """Most numbers in a section `N_...`."""
@@ -47,7 +47,8 @@ class Variable:
     parents: tuple[int, ...]
     """Indices of the parents among the network's variables, rising."""
     strides: tuple[int, ...]
-    """A combination of the parents' bins has the row `sum(stride * bin)`: the first parent is the fastest."""
+    """The row of a combination of the parents' bins is `sum(stride * bin)`. The first parent's bin varies
+    fastest."""
     counts: Floats
     """(combinations of the parents' bins, bins)."""
     cumulative: list[list[float]]
@@ -67,7 +68,7 @@ class Tables(NamedTuple):
     parents: Integers
     """(D, most parents): indices of the parents; -1 beyond the last one."""
     strides: Integers
-    """The same shape: see `Variable.strides`."""
+    """(D, most parents): see `Variable.strides`."""
     first: Integers
     """(D,): where the variable's cumulative sums begin in `sums`."""
     sums: Floats
@@ -77,7 +78,7 @@ class Tables(NamedTuple):
     zero_bin: Integers
     """(D,): the bin that stands for exactly 0; -1: none."""
     rates: Floats
-    """(D,): chance in each second that a value is drawn anew within its bin."""
+    """(D,): probability per second that a value is redrawn within its bin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,18 +94,19 @@ class Model:
     order: tuple[int, ...]
     """Order in which they are drawn: parents first."""
     next: tuple[Variable | None, ...]
-    """Variables of the transition network; None for those that it does not draw (all that is known at t)."""
+    """Variables of the transition network; None for the variables at t, which are given and not drawn."""
     next_order: tuple[tuple[int, int], ...]
-    """Order in which the dynamic variables are drawn: index at t + 1, and of the same variable at t."""
+    """Order in which the dynamic variables are drawn: index of each at t + 1, and of the same variable at
+    t."""
     boundaries: tuple[tuple[float, ...] | None, ...]
     """Boundaries of the bins of each initial variable, in the file's units: kt, kt/s, ft/min, deg/s, and ft
     for layers. None: the number of the bin is the value."""
     zero_bins: tuple[int | None, ...]
     """The bin of each initial variable that stands for exactly 0; None: there is none."""
     resample_rates: tuple[float, ...]
-    """Chance in each second that a value is drawn anew within its bin, of each initial variable."""
+    """Probability per second, for each initial variable, that its value is redrawn within its bin."""
     tables: Tables
-    """The transition network again, for compiled code."""
+    """The transition network in the form for compiled code."""
 
     def index(self, label: str) -> int | None:
         """Index of an initial variable; None if the model does not have it."""
@@ -125,16 +127,16 @@ class Model:
 @dataclass(frozen=True, slots=True)
 class _Section:
     line: int
-    """Line of its header."""
+    """Number of the line with the section's header."""
     rows: list[tuple[int, str]]
-    """Its lines that are not empty, with their numbers."""
+    """Lines of the section that are not empty, with their numbers."""
 
 
 def read(path: Path) -> Model:
     """Read a parameter file.
 
     Raises:
-        ConfigError: the file cannot be read, or something in it is not allowed; names the line.
+        ConfigError: the file cannot be read, or its content is not allowed; the message names the line.
     """
     try:
         with path.open("rb") as file:
@@ -156,10 +158,10 @@ def parse(text: str, name: str, digest: str) -> Model:
     """The model in the text of a parameter file.
 
     Args:
-        name, digest: kept in the model.
+        name, digest: stored in the model.
 
     Raises:
-        ValueError: something in the text is not allowed; names the line, and what is allowed.
+        ValueError: the text is not allowed; the message names the line and what is allowed.
     """
     sections = _sections(text)
     labels = _labels(sections["labels_initial"])
@@ -291,7 +293,7 @@ def _numbers(line: int, row: str, count: int, what: str) -> list[float]:
     """The numbers of a line.
 
     Raises:
-        ValueError: there are not `count`, or one is not a finite number.
+        ValueError: there are not `count` numbers, or one is not finite.
     """
     words = row.split()
     if len(words) != count:
@@ -306,7 +308,7 @@ def _numbers(line: int, row: str, count: int, what: str) -> list[float]:
 
 
 def _number(word: str) -> float:
-    """The number of a word; NaN if it is none."""
+    """The number that a word represents; NaN if it is not a number."""
     try:
         return float(word)
     except ValueError:
@@ -352,7 +354,7 @@ def _bins(section: _Section, n: int) -> tuple[int, ...]:
 def _variables(
     section: _Section, labels: Sequence[str], graph: Floats, bins: Sequence[int], drawn: range
 ) -> tuple[Variable | None, ...]:
-    """The variables of a network; None for those that are not `drawn`, of which there are no counts."""
+    """The variables of a network; None for those that are not `drawn`, because they have no counts."""
     line, row = _only_row(section)
     parents = [tuple(np.flatnonzero(graph[:, i]).tolist()) for i in range(len(labels))]
     sizes = {i: (math.prod(bins[p] for p in parents[i]), bins[i]) for i in drawn}
@@ -412,7 +414,7 @@ def _boundaries(
 
 
 def _zero_bin(edges: tuple[float, ...] | None) -> int | None:
-    """The bin that holds 0 in its inside, as `extract_zero_bins` of em_read.m."""
+    """The bin with 0 strictly inside, as in `extract_zero_bins` of em_read.m."""
     if edges is None:
         return None
     return next((i for i, (a, b) in enumerate(itertools.pairwise(edges)) if a < 0.0 < b), None)

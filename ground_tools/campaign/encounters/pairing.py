@@ -1,14 +1,14 @@
 """Places a track so that it meets our own aircraft: one encounter, with its importance weight.
 
 Both aircraft move independently of each other until one avoids (an uncorrelated encounter). `CONFLICT_S`
-after the beginning the crewed aircraft passes ours within a window: uniform to the side, perpendicular to the
-relative motion, and in height as the track and the layer have it. Draws that do not keep the conditions are
-repeated as a whole. So do em-pairing-geospatial and em-pairing-uncor-importancesampling of MIT Lincoln
-Laboratory (BSD 2-Clause, X11).
+after the beginning the crewed aircraft passes ours within a window: the offset to the side is uniform,
+perpendicular to the relative motion; the offset in height follows from the track and the layer. Draws that
+violate the conditions are repeated as a whole. The method is that of em-pairing-geospatial and
+em-pairing-uncor-importancesampling of MIT Lincoln Laboratory (BSD 2-Clause, X11).
 
 The number of aircraft that pass the window is proportional to their relative speed. The relative heading is
-drawn in proportion to it, and the weight of an encounter is what remains: its mean over all headings (as in
-`initializeUncorrelatedEncounter.m`).
+drawn in proportion to the relative speed, so the weight of an encounter is the mean of the relative speed
+over all headings (as in `initializeUncorrelatedEncounter.m`).
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from ground_tools.campaign.encounters.sampling import FOOT_M, Course, Track, dra
 from ground_tools.campaign.encounters.volumes import Volume
 
 CONFLICT_S: Final = 180
-"""From the beginning to the time at which the crewed aircraft passes the window."""
+"""Time from the beginning until the crewed aircraft passes the window."""
 DURATION_S: Final = 240
 BEYOND_S: Final = 60.0
 APART_M: Final = 1000.0
-"""Least horizontal distance at the beginning: farther than the largest volume that the law keeps clear of, so
-that neither the law nor the judge begins inside."""
+"""Least horizontal distance at the beginning. It is larger than any volume that the law keeps clear or that
+is evaluated, so that no encounter begins inside."""
 OWN_HEIGHT_M: Final = (60.0, 110.0)
 """Height of our own aircraft above ground."""
 _HEADINGS: Final = 360
-"""Headings over which the mean of the relative speed is taken."""
+"""Number of headings over which the relative speed is averaged."""
 _MOST_TRIES: Final = 20_000
 
 
 @dataclass(frozen=True, slots=True)
 class Encounter:
-    """One encounter as it was drawn. NED; the ground is at down 0."""
+    """One drawn encounter. NED; the ground is at down = 0."""
 
     weight: float
     """Importance weight, m/s."""
     own_times_s: Floats
-    """(2,): beginning and end of the path of our own aircraft, s, `BEYOND_S` before and after those of the
-    encounter, because it neither starts nor stops in it."""
+    """(2,): beginning and end of our own path, s. They are `BEYOND_S` before and after those of the
+    encounter, so that our aircraft neither starts nor stops in it."""
     own_points: Floats
-    """(2, 3): that straight path, m."""
+    """(2, 3): points of our own straight path at these times, m."""
     position: Floats
     """(N + 1, 3): track of the crewed aircraft, one row for each step, m."""
     velocity: Floats
@@ -64,7 +64,8 @@ def draw(rng: np.random.Generator, model: Model, own_mps: float, window: Volume,
         step_s: time between two rows of the track.
 
     Raises:
-        ValueError: the model has no counts where it was asked, or hardly ever meets the conditions.
+        ValueError: the model has no counts for a required combination, or its tracks hardly ever meet the
+            conditions.
     """
     for _ in range(_MOST_TRIES):
         course = draw_course(rng, model, DURATION_S)
@@ -77,7 +78,7 @@ def draw(rng: np.random.Generator, model: Model, own_mps: float, window: Volume,
 def _placed(
     rng: np.random.Generator, model: Model, course: Course, wanted: tuple[float, Volume, float]
 ) -> Encounter | None:
-    """The encounter of a course; None if it does not keep the conditions.
+    """The encounter of a course; None if the course violates the conditions.
 
     Args:
         wanted: `own_mps`, `window` and `step_s` of `draw`.

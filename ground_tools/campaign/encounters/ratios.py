@@ -1,10 +1,10 @@
-"""Risk ratios: how much more rarely something happens with avoidance than without, with intervals.
+"""Risk ratios with intervals: how often an event happens with avoidance, relative to without.
 
-An encounter counts with its importance weight, both times. The interval of a weighted share is Wilson's, for
-the effective number of encounters `sum(w)^2 / sum(w^2)` (Kish). That of the ratio follows from both shares'
-intervals and their correlation, because the same encounters are flown with and without avoidance: the method
-of variance estimates recovery (A. Donner, G. Y. Zou: Closed-form confidence intervals for functions of the
-normal mean and standard deviation, 2012).
+Each encounter counts with its importance weight, with and without avoidance. The interval of a weighted share
+is Wilson's, for the effective number of encounters `sum(w)^2 / sum(w^2)` (Kish). That of the ratio follows
+from both shares' intervals and their correlation, because the same encounters are flown with and without
+avoidance: the method of variance estimates recovery (A. Donner, G. Y. Zou: Closed-form confidence intervals
+for functions of the normal mean and standard deviation, 2012).
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ from ground_tools.common.intervals import Z
 
 
 def effective(weights: Floats) -> float:
-    """Effective number of encounters."""
+    """Effective number of encounters with these weights."""
     return float(weights.sum() ** 2 / (weights**2).sum())
 
 
 def ratio(avoided: Bools, unavoided: Bools, weights: Floats) -> float | None:
-    """The weighted ratio of what happened with and without avoidance; None if it never happened without."""
+    """Weighted share of encounters in which an event happened with avoidance, over that without; None if it
+    never happened without."""
     below = float(weights[unavoided].sum())
     return float(weights[avoided].sum()) / below if below > 0.0 else None
 
@@ -46,7 +47,7 @@ def _bound(p: float, q: float, r: float, p_end: float, q_end: float, sign: float
     b = p * q - r * (p_end - p) * (q - q_end)
     c = p_end * (2.0 * p - p_end)
     root = math.sqrt(max(b * b - a * c, 0.0))
-    if sign < 0.0:  # the smaller root, in the form that needs no division by a, which may be 0
+    if sign < 0.0:  # the smaller root, in a form without division by a, which may be 0
         return max(c / (b + root), 0.0) if b + root > 0.0 else 0.0
     return (b + root) / a
 

@@ -1,4 +1,4 @@
-"""What the encounters of a cell amount to: numbers, and text for people."""
+"""Results of the encounters of a cell, as numbers and as text."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ LIMITS_HEARD: Final = (0.18, 0.40)
 """Greatest risk ratio and ratio of losses of well clear of ASTM F3442/F3442M-20 against intruders that
 transmit."""
 LIMITS_UNHEARD: Final = (0.30, 0.50)
-"""The same against others."""
+"""The same limits against intruders that do not transmit."""
 _MOST_SEEDS: Final = 20
 
 
 def summary(cell: Cell, rows: Sequence[Row]) -> dict[str, Any]:
-    """The reported results. Counts are of encounters as drawn; the ratios weight them (`ratios`)."""
+    """The reported results. Counts are unweighted; the ratios use the importance weights (`ratios`)."""
     weights = np.array([row.weight for row in rows])
     nmac, nmac_unavoided = (
         np.array([getattr(row, name) for row in rows], bool) for name in ("nmac", "nmac_unavoided")

@@ -2,7 +2,7 @@
 
 The initial network gives the first bin of each variable, the transition network those of acceleration,
 vertical rate and turn rate one second later. A value is uniform within its bin, and 0 in the bin that holds
-0. While its bin stays the same, it is drawn anew with the chance `resample_rates` in each second. Where a
+0. While its bin stays the same, the value is redrawn with the probability `resample_rates` per second. If a
 combination of parents was never observed, the bin stays the same (`setTransitionPriors.m`).
 """
 
@@ -32,14 +32,14 @@ from ground_tools.campaign.encounters.transitions import walk
 KNOT_MPS: Final = 1852.0 / 3600.0
 FOOT_M: Final = 0.3048
 LEAST_SPEED_MPS: Final = 1.7 * FOOT_M
-"""Least airspeed of any track, that of `UncorEncounterModel.track`."""
+"""Least airspeed of any track, as in `UncorEncounterModel.track`."""
 UNCONTROLLED: Final = 3
-"""Bin of the airspace class that is neither B, C nor D."""
+"""Bin of the airspace class for airspace other than B, C and D."""
 _MOST_TRIES: Final = 10_000
 
 
 class Course(NamedTuple):
-    """Speeds and rates of a track, constant rates in each second; SI units."""
+    """Speeds and rates of a track in SI units. The rates are constant within each second."""
 
     speeds: Floats
     """(seconds + 1,): airspeed at the beginning of each second, and at the end; the air is still."""
@@ -65,12 +65,12 @@ def draw_bin(rng: np.random.Generator, variable: Variable, bins: Sequence[int]) 
     sums = variable.cumulative[row]
     if sums[-1] == 0.0:
         return None
-    return min(bisect_right(sums, rng.random() * sums[-1]), variable.bins - 1)  # rounded up
+    return min(bisect_right(sums, rng.random() * sums[-1]), variable.bins - 1)  # guards against rounding up
 
 
 def draw_value(rng: np.random.Generator, model: Model, variable: int, bin_: int) -> float:
-    """A value within a bin of an initial variable, in the file's units; without boundaries the bin's number,
-    from 1."""
+    """A value within a bin of an initial variable, in the file's units. For a variable without boundaries:
+    the number of the bin, from 1."""
     edges = model.boundaries[variable]
     if edges is None:
         return float(bin_ + 1)
@@ -88,10 +88,10 @@ def draw_initial(
         given: bins that variables must have.
 
     Returns:
-        The bins; None as soon as one is drawn that is not the given one.
+        The bins; None if a drawn bin differs from the given one.
 
     Raises:
-        ValueError: a combination of parents was drawn that was never observed.
+        ValueError: a drawn combination of parents was never observed.
     """
     bins = [0] * len(model.initial)
     for i in model.order:
@@ -108,10 +108,11 @@ def draw_initial(
 
 
 def draw_lowest(rng: np.random.Generator, model: Model) -> list[int]:
-    """Like `draw_initial`, given the lowest altitude layer and, if the model has classes, class 4 airspace.
+    """Like `draw_initial`, for the lowest altitude layer and, if the model has airspace classes, class
+    `UNCONTROLLED`.
 
     Raises:
-        ValueError: see `draw_initial`; or the model hardly ever draws that layer.
+        ValueError: as in `draw_initial`, or the model hardly ever draws that layer.
     """
     given, airspace = {model.at(LAYER): 0}, model.index(CLASS)
     if airspace is not None:
@@ -129,7 +130,7 @@ class Limits(NamedTuple):
     """Limits of a track; one that exceeds them is not used."""
 
     least_mps: float
-    """Least and greatest airspeed."""
+    """Least airspeed; `most_mps` is the greatest."""
     most_mps: float
     climb_mps: float
     """Greatest vertical rate, either way."""
@@ -139,10 +140,10 @@ def limits(model: Model, bins: Sequence[int]) -> Limits:
     """The limits of a track that begins with these bins: the bins in which the 1st and the 99th percentile
     lie, given region, class and layer.
 
-    Without them, the speed of a track, which the transition network does not hold to its bin, would drift
-    away from all that was observed. `getDynamicLimits.m` takes the upper edge of both bins. Here it is the
-    lower edge of the lower bin: the upper one would leave out slow aircraft that the counts hold, such as all
-    single engines below 60 kt.
+    The transition network does not keep the speed in its bin. Without limits it would drift away from the
+    observed range. `getDynamicLimits.m` takes the upper edge of both bins. Here it is the lower edge of the
+    lower bin, because the upper edge would exclude slow aircraft that were observed, such as all
+    single-engine aircraft below 60 kt.
     """
     fixed = {i: bins[i] for i in (model.index(label) for label in (REGION, CLASS, LAYER)) if i is not None}
     least, most = _percentiles(model, model.at(SPEED), fixed)
@@ -182,7 +183,7 @@ def draw_course(rng: np.random.Generator, model: Model, seconds: int) -> Course 
     A first state whose vertical rate exceeds its airspeed is drawn again.
 
     Raises:
-        ValueError: see `draw_lowest`; or nearly all first states climb faster than they fly.
+        ValueError: as in `draw_lowest`, or nearly all first states climb faster than they fly.
     """
     speed_at = model.at(SPEED)
     first, start = _first(rng, model)
@@ -200,7 +201,7 @@ def draw_course(rng: np.random.Generator, model: Model, seconds: int) -> Course 
 def states(
     rng: np.random.Generator, model: Model, first: Sequence[int], start: Sequence[float], seconds: int
 ) -> tuple[Integers, Floats]:
-    """Draw what follows a first state.
+    """Draw the states that follow a first state.
 
     Args:
         first, start: bins and values of the initial variables.
@@ -221,7 +222,7 @@ def integrated(course: Course, step_s: float) -> Track:
     """The track of a course.
 
     Args:
-        step_s: time between two rows of the track, a whole part of a second.
+        step_s: time between two rows of the track; a second must be a multiple of it.
     """
     speeds, rates = course
     per_second = round(1.0 / step_s)
@@ -233,7 +234,7 @@ def integrated(course: Course, step_s: float) -> Track:
     level = np.sqrt(np.maximum(speed**2 - climb**2, 0.0))
     velocity = np.column_stack([level * np.cos(heading), level * np.sin(heading), -climb])
     position = np.zeros_like(velocity)
-    # The vertical rate is constant within a second, and jumps at its end.
+    # The vertical rate is constant within a second and changes at its end.
     position[1:, :2] = np.cumsum(0.5 * step_s * (velocity[1:, :2] + velocity[:-1, :2]), axis=0)
     position[1:, 2] = np.cumsum(step_s * velocity[:-1, 2])
     return Track(position, velocity)

@@ -1,6 +1,6 @@
-"""Whether two aircraft came into each other's volume: near mid-air collision, and loss of well clear.
+"""Near mid-air collisions and losses of well clear: whether an aircraft entered the volume of another.
 
-All volumes are cylinders: a distance to the side and one in height that must be undercut at the same time.
+All volumes are cylinders. Inside, the horizontal and the vertical distance are below their limits at once.
 ASTM F3442 takes 500 ft and 100 ft for the near mid-air collision (NMAC) and 2,000 ft and 250 ft for well
 clear of a small uncrewed and a crewed aircraft. Between two small uncrewed aircraft, whose wingspans are up
 to 25 ft, 50 ft and 15 ft take the place of the first one (sNMAC; A. Weinert, L. Alvarez, M. Owen, B. Zintak,
@@ -22,9 +22,9 @@ class Volume(NamedTuple):
     """A cylinder around an aircraft, m."""
 
     aside_m: float
-    """Its radius."""
+    """Radius of the cylinder."""
     height_m: float
-    """Half of its height."""
+    """Half of the cylinder's height."""
 
 
 NMAC: Final = Volume(500.0 * FOOT_M, 100.0 * FOOT_M)
@@ -35,8 +35,7 @@ WELL_CLEAR: Final = Volume(2000.0 * FOOT_M, 250.0 * FOOT_M)
 def first_inside(relative: Floats, step_s: float, volume: Volume) -> float | None:
     """When one aircraft is first inside the volume of the other one, s after the first row; None: never.
 
-    The motion between two rows is taken as straight, and the volume is exact for it: it is entered where both
-    distances are undercut at the same time, also between two rows.
+    The motion between two rows is taken as straight. Entries between two rows are found exactly.
 
     Args:
         relative: shape (N, 3): position of one minus that of the other, one row for each step, m.
@@ -60,7 +59,7 @@ def _within(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(b * b - a * c)
         low, high = (-b - root) / a, (-b + root) / a
-    still = a == 0.0  # then b is 0 too
+    still = a == 0.0  # a is 0, then b is 0 too
     low = np.where(still, np.where(c < 0.0, -np.inf, np.inf), low)
     high = np.where(still, np.where(c < 0.0, np.inf, -np.inf), high)
     nowhere = np.isnan(low)

@@ -104,7 +104,7 @@ def run_pareto(args: argparse.Namespace) -> int:
 def _fly(
     args: argparse.Namespace, wanted: Sequence[Cell], text: Callable[[Sequence[tables.Line]], str]
 ) -> list[tables.Line]:
-    """Fly cells, print them as text or JSON, and keep them."""
+    """Fly cells, print the results as text or JSON, and store them."""
     seeds = seeds_of(args.seeds)
     found, _ = fly_missing(wanted, seeds, args.out, work_of(args, Console(stderr=True)))
     lines = [

@@ -1,4 +1,4 @@
-"""The picture of losses against deviation: each law over its main parameter."""
+"""The picture of losses against deviation: a curve for each law over its main parameter."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ground_tools.campaign.tables import Line
 from ground_tools.common.figure import drawn
 
 OWN: Final = ("growth", (0.0, 0.25, 0.5, 1.0, 1.5))
-"""Main parameter of the companion's own law: the factor on a track's growth."""
+"""Main parameter of the companion's own law, and its values: the factor on a track's growth."""
 ENCOUNTERS: Final = (
     Cell(generator="S2", aircraft=5, delay_s=DELAY_S),
     Cell(generator="circle", aircraft=5, delay_s=DELAY_S, intruders=TURNING, intruder="turning"),

@@ -1,8 +1,8 @@
 """Finds the parameters of each peer: every candidate of its grid flies the same encounters.
 
-Every law that is searched has the same budget: `laws.CANDIDATES` candidates, in the encounters of ENCOUNTERS,
-with the same seeds, which no table uses. The best candidate loses separation in the fewest flights; among
-equal ones it is the one with the least mean of the encounters' median deviations.
+Every law has the same budget: `laws.CANDIDATES` candidates, in the encounters of ENCOUNTERS, with the same
+seeds, which no table uses. The best candidate loses separation in the fewest flights. Ties are decided by the
+mean of the encounters' median deviations.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ def cells() -> list[Cell]:
 
 
 def whole(name: str, parameters: Parameters) -> str:
-    """A law's name with all of its parameters, so that a cell does not depend on `Peer.best`."""
+    """A law's name with all of its parameters, so that the name of a cell does not depend on `Peer.best`."""
     return name + ":" + ",".join(f"{key}={value:g}" for key, value in parameters._asdict().items())
 
 
 def figures(rows: Sequence[Row]) -> dict[str, Any]:
-    """What a line of a search or a table of peers reports of its flights."""
+    """The figures that a line of a search or of a table of peers reports."""
     return {
         "runs": len(rows),
         "losses_of_separation": campaign.lost(rows),
@@ -53,7 +53,8 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def scores(lines: Sequence[Line]) -> dict[str, tuple[int, float]]:
-    """What is minimised, of each candidate: lost flights, then the mean deviation (m)."""
+    """What the search minimises, for each candidate: the number of lost flights, then the mean deviation
+    (m)."""
     found: dict[str, list[dict[str, Any]]] = {}
     for line in lines:
         found.setdefault(line.cell.law, []).append(line.found)
@@ -76,7 +77,7 @@ def best_of(lines: Sequence[Line]) -> dict[str, str]:
 
 
 def markdown(lines: Sequence[Line]) -> str:
-    """The candidates of each law from the best on, and the best three only."""
+    """The three best candidates of each law, the best first, as Markdown."""
     found, rows = scores(lines), ["| candidate | lost flights | mean deviation (m) |", "| --- | --- | --- |"]
     for name in dict.fromkeys(law.partition(":")[0] for law in found):
         ranked = sorted((law for law in found if law.partition(":")[0] == name), key=lambda law: found[law])

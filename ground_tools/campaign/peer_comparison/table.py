@@ -16,12 +16,13 @@ from ground_tools.campaign.tables import Line
 DELAY_S: Final = (2.0, 3.0)
 MISSION_DELAY_S: Final = (1.0, 2.0)
 CALM: Final = "dmuca:acceleration_mps2=1,recovery_s=10"
-"""The companion's law with a smaller limit of acceleration and a faster return, both configurable."""
+"""The companion's law with a lower acceleration limit and a faster return; both are configurable."""
 WIDE: Final = "orca-constant:radius_m=22,horizon_s=20"
-"""A larger constant radius than the search found, with more room for encounters that it did not try."""
+"""A constant radius larger than the search found, with a margin for encounters that the search did not
+try."""
 _OTHERS: Final = tuple(name for name in PEERS if name not in ("orca", "orca-constant"))
 TURNING: Final = 0.2
-"""Share of aircraft that turn at random, in the encounters that have such."""
+"""Share of aircraft that turn at random, in encounters with such aircraft."""
 COOPERATIVE: Final = (
     "S1", "S2", "S3", "head-on", "crossing", "overtaking", "circle", "wall", "funnel", "random",
 )  # fmt: skip
@@ -47,7 +48,7 @@ class Table:
 
 
 def separation(found: dict[str, Any]) -> str:
-    """Lost flights, least separation and deviation."""
+    """Text with lost flights, least separation (m) and deviation (m)."""
     return (
         f"{found['losses_of_separation']} / {found['min_separation_m']:.1f} / "
         f"{found['median_max_deviation_m']:.1f}"
@@ -61,7 +62,7 @@ def _encounters() -> tuple[Cell, ...]:
 
 
 def _missions() -> tuple[Cell, ...]:
-    """One of ours crosses the path of one intruder on a mission."""
+    """Encounters of one avoiding aircraft and one intruder on a mission."""
     return tuple(
         Cell(generator="cruise", aircraft=2, delay_s=MISSION_DELAY_S, intruders=0.5, intruder=name)
         for name in MISSIONS
@@ -92,7 +93,7 @@ TABLES: Final[dict[str, Table]] = {
 
 
 def words_of(cell: Cell) -> str:
-    """An encounter in words."""
+    """Description of an encounter."""
     words = cell.generator
     if cell.on_missions:
         return cell.intruder

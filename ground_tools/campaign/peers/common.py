@@ -1,7 +1,7 @@
 """What all laws of `peers` share, in compiled code: following the path, prediction, report and limits.
 
 In the table of settings, the law of every aircraft is `kernels.NONE`, whose decision follows the path. The
-column AVOIDS says whether the aircraft flies the law of the peer, and the columns from FIRST on are its
+column AVOIDS states whether the aircraft flies the peer's law, and the columns from FIRST on hold the law's
 parameters.
 """
 
@@ -31,7 +31,7 @@ def following(
 ) -> k.Decision:
     """The decision of aircraft i if it follows its path and avoids nobody."""
     history = k.History(mind.times_s[i], mind.velocities[i])
-    nobody = int(np.int64(0))  # for a literal 0, numba would compile the whole law again
+    nobody = int(np.int64(0))  # not a literal 0, for which numba would compile the whole law again
     return k.decide(mind.neighbours, nobody, own, path, fence, law, state_of(mind, i), history, work)
 
 
@@ -39,10 +39,11 @@ def following(
 def beside(other: k.Other, own: k.Own, predicted: bool) -> tuple[k.Vector, k.Vector]:
     """Another aircraft's position minus the own one, and its velocity, as a receiver knows them.
 
-    An aircraft of unknown height is assumed to fly at the own height, with the own vertical speed.
+    An aircraft of unknown height is assumed to be at the own height, with the own vertical speed.
 
     Args:
-        predicted: extrapolate the position by the age of the message; else it is that of the message.
+        predicted: extrapolate the position by the age of the message; otherwise use the position in the
+            message.
     """
     age = other.age_s if predicted else 0.0
     away = k.Vector(
@@ -83,11 +84,11 @@ def commanded(
     law: k.Settings,
     state: k.State,
 ) -> k.Decision:
-    """The decision that commands the velocity of a peer, within the limits of speed, climb and acceleration.
+    """The decision that commands a peer law's velocity, within the limits of speed, climb and acceleration.
 
     Args:
         plain: the decision of `following`.
-        found: the peer's velocity, m/s.
+        found: velocity that the peer law found, m/s.
         state: the state before `following`. After a pause, as in `kernels.decide`, the command starts again
             from the own velocity.
     """

@@ -1,4 +1,4 @@
-"""What a law's name means for a flight: the companion's, one of `laws`, a plug-in's, or `omniscient`."""
+"""Resolves the name of a law: the companion's, one of `laws`, a plug-in's, or `omniscient`."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ OWN = "dmuca"
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """What a name means."""
+    """The law and the settings that a name refers to."""
 
     avoidance: AvoidanceConfig
-    """Configuration of the companion's law, which a peer shares as far as it applies."""
+    """Configuration of the companion's law. A peer law uses the parts that apply to it."""
     peer: tuple[laws.Peer, laws.Parameters] | None = None
-    """The law that flies instead of the companion's."""
+    """The peer law, with its parameters, that flies instead of the companion's; None: the companion's law
+    flies."""
     changed: dict[str, float] = field(default_factory=dict)
-    """Numbers of the companion's law that are changed, by field of `kernels.Settings`."""
+    """Changed numbers of the companion's law, by field of `kernels.Settings`."""
     planned: bool = False
     """Whether everything is planned before the flight (`omniscient`)."""
     plugin: Plugin | None = None
@@ -42,7 +43,7 @@ class Flown:
             own: settings of the companion's law for this aircraft.
             avoids: False: the aircraft flies its path only.
         """
-        if avoids:  # an intruder flies as it does beside the unchanged law
+        if avoids:  # an intruder flies as with the unchanged law
             own = own._replace(**self.changed)
         if self.planned:
             return list(own._replace(law=kernels.NONE))
@@ -55,7 +56,7 @@ class Flown:
 
 
 def flown_by(law: str, companions: Mapping[str, AvoidanceConfig]) -> Flown:
-    """What a law's name means.
+    """Resolve a law's name.
 
     Args:
         companions: the laws of the companion.

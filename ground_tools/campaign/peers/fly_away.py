@@ -4,8 +4,9 @@ Equations and constants as in `libraries/AP_Avoidance/AP_Avoidance.cpp` and `Ard
 ArduPilot: an aircraft is a threat if it comes within `F_DIST_XY` and `F_DIST_Z` in the next `F_TIME` seconds.
 The threat with the least time to its closest approach is avoided, at full speed along the component of the
 own relative position perpendicular to its velocity, or straight away from it if it is slower than 1 m/s. The
-state is given up 2 s after its last change at the earliest, and the aircraft then resumes its path. Positions
-are those of the message; the time ahead is longer by its age in whole seconds.
+avoidance ends at the earliest 2 s after the last change of the threat level; then the aircraft resumes its
+path. Positions are those in the message; to compensate, the time ahead is longer by the message's age in
+whole seconds.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ from ground_tools.campaign.vehicles import Fleet
 from ground_tools.campaign.world import Conditions
 
 _OLDEST_S: Final = 5.0
-"""MAX_OBSTACLE_AGE_MS."""
+"""Greatest age of a threat's message: ArduPilot's MAX_OBSTACLE_AGE_MS."""
 _KEPT_S: Final = 2.0
-"""AP_AVOIDANCE_STATE_RECOVERY_TIME_MS."""
+"""Time before the avoidance ends: ArduPilot's AP_AVOIDANCE_STATE_RECOVERY_TIME_MS."""
 _SLOW_MPS: Final = 1.0
-"""_low_velocity_threshold."""
+"""Speed below which a threat counts as slow: ArduPilot's _low_velocity_threshold."""
 _TINY: Final = 1e-7
-# What an aircraft remembers of its own in `Mind.notes`: 1 if its threat level is high, the time at which that
-# changed, and the velocity that it flies.
+# Entries that an aircraft keeps about itself in `Mind.notes`: 1 if its threat level is high, the time at
+# which that changed, and the velocity that it flies.
 _HIGH, _CHANGED, _VELOCITY = 0, 1, 2
 
 
@@ -78,8 +79,8 @@ def nearest_level(away: k.Vector, relative: k.Vector, within_s: float) -> float:
 def nearest_above(away: k.Vector, relative: k.Vector, within_s: float) -> float:
     """`closest_approach_z`: least difference of heights (m), as ArduPilot computes it.
 
-    There the difference of heights is in centimetres and upwards, that of vertical speeds in m/s and
-    downwards, so that the speeds hardly count.
+    ArduPilot takes the difference of heights in centimetres upwards, but that of vertical speeds in m/s
+    downwards, so that the speeds hardly count. This is reproduced here.
     """
     above_cm, sinks = -100.0 * away.d, relative.d
     if (above_cm >= 0.0 and sinks >= 0.0) or (above_cm <= 0.0 and sinks <= 0.0):

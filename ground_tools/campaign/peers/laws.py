@@ -1,8 +1,8 @@
-"""The laws of `peers` by name, their parameters, and what a search may try.
+"""The laws of `peers` by name, with their parameters and the values that a search may try.
 
 A law is named as in `--law mvp`, or with some of its parameters as in `--law mvp:radius_m=16,look_s=30`; the
 others are those of `Peer.best`. Some numbers of the companion's own law can be changed in the same way
-(`VARIED`), as in `--law dmuca:growth=0.5`, to measure what they are worth.
+(`VARIED`), as in `--law dmuca:growth=0.5`, to measure their effect.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from ground_tools.campaign.peers.orca import Orca
 
 Parameters = Orca | Mvp | FlyAway
 CANDIDATES: Final = 24
-"""Budget of a search: candidates of each law that is searched."""
+"""Budget of a search: number of candidates for each law."""
 _PERIOD_S: Final = 0.2
-"""Time step of RVO2-3D in the campaign: the time between two decisions."""
+"""Time between two decisions, which is the time step of RVO2-3D in the campaign."""
 _LEAST: Final = 1e-3
 _MOST: Final = 1e4
 
@@ -43,12 +43,12 @@ class Peer:
     loop: Loop
     """Function that flies an encounter with this law (`flight.Loop`)."""
     best: Parameters
-    """Parameters with which it flies: those that the search found, or those that are published."""
+    """Parameters with which the law flies: the search's result, or the published ones."""
     grid: dict[str, tuple[float, ...]] = field(default_factory=dict)
     """Values of the parameters that a search combines; empty: the parameters are not searched."""
     main: str = ""
-    """Parameter over which the law trades deviation for safety, and its values for a picture of that; empty:
-    it is not in the picture."""
+    """Parameter that trades deviation for safety, and its values for the picture; empty: the law is not in
+    the picture."""
     values: tuple[float, ...] = ()
 
     def candidates(self) -> list[Parameters]:
@@ -116,7 +116,7 @@ PEERS: Final[dict[str, Peer]] = {
 
 
 def of(text: str) -> tuple[Peer, Parameters]:
-    """The peer that a law's name means, and its parameters.
+    """The peer law that a name refers to, and its parameters.
 
     Raises:
         ValueError: the name or a parameter is not known, or a value is not allowed.
@@ -129,7 +129,7 @@ def of(text: str) -> tuple[Peer, Parameters]:
 
 
 def varied(text: str) -> dict[str, float]:
-    """The numbers that a text such as "dmuca:growth=0.5" changes of the companion's own law.
+    """The numbers of the companion's own law that a text such as "dmuca:growth=0.5" changes.
 
     Raises:
         ValueError: a number is not known, or a value is not allowed.

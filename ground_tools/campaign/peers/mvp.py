@@ -3,10 +3,10 @@
 J. M. Hoekstra, R. N. H. W. van Gent, R. C. J. Ruigrok, "Designing for safety: the free flight air traffic
 management concept" (2002); equations as in BlueSky 22fdf9e: state-based detection
 (`traffic/asas/statebased.py`), resolution (`mvp.py`, without priorities) and the rule for going back to the
-path (`resolution.py`). A conflict pair is resolved by a velocity change along the vector of least distance.
-It is computed once a second; the aircraft flies the result until it has passed all aircraft that it was in
-conflict with. Lengths are scaled from airliners to small aircraft by the parameters. Numbers that would
-divide by zero are bounded by _TINY.
+path (`resolution.py`). A velocity change along the vector of least distance resolves a conflict pair. It is
+computed once a second; the aircraft flies the result until it has passed all aircraft with which it was in
+conflict. Lengths are scaled from airliners to small aircraft by the parameters. Numbers that would divide by
+zero are bounded by _TINY.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _TINY: Final = 1e-6
 _EVERY_S: Final = 1.0
 """Time between two resolutions; BlueSky's default."""
 _BOUNCING_RAD: Final = math.radians(30.0)
-# What an aircraft remembers of its own in `Mind.notes`, after an entry of each other aircraft (1: it is in
-# conflict with this one, or has not passed it yet): 1 after the first resolution, the time of the last one, 1
-# if it flies a resolution, and the velocity of that.
+# Entries that an aircraft keeps about itself in `Mind.notes`, after an entry of each other aircraft (1: it is
+# in conflict with this one, or has not passed it yet): 1 after the first resolution, the time of the last
+# one, 1 if it flies a resolution, and the velocity of that.
 _BEGUN, _TIME, _ACTIVE, _VELOCITY = 0, 1, 2, 3
 
 
@@ -42,7 +42,7 @@ class Mvp(NamedTuple):
     radius_m: float
     """Radius of the protected zone."""
     height_m: float
-    """Half of its height."""
+    """Half height of the protected zone."""
     look_s: float
     """Time ahead in which conflicts are detected."""
     level: float
@@ -50,7 +50,7 @@ class Mvp(NamedTuple):
     margin: float
     """Factor on the protected zone in a resolution; BlueSky's default is 1.01."""
     head_on_m: float
-    """Least distance at the closest approach that a resolution computes with; 10 m in BlueSky."""
+    """Lower bound of the distance at closest approach in the computation of a resolution; 10 m in BlueSky."""
     predicted: float
     """1: positions are extrapolated by the age of the message; 0: they are those of the message."""
 
@@ -125,18 +125,19 @@ def change(away: k.Vector, relative: k.Vector, meeting: Meeting, p: Mvp) -> k.Ve
         solve_s, tall = meeting.entry_s, height
     if abs(solve_s) < _TINY:
         solve_s = _TINY
-    # BlueSky counts upwards: a change of +1 there is one of -1 here, and so is the sign of the rate.
+    # BlueSky's vertical axis points up, ours down: changes and rates have the opposite sign.
     climb = tall / solve_s
     if rate != 0.0:
         climb = climb * (1.0 if rate > 0.0 else -1.0)
-    # Both aircraft resolve: each takes its whole horizontal share and half of the vertical one.
+    # Both aircraft resolve. As in BlueSky, each takes the whole horizontal change and half of the vertical
+    # one.
     return k.Vector(-push * n, -push * e, 0.5 * climb)
 
 
 @_compiled
 def passed(away: k.Vector, relative: k.Vector, own: k.Vector, other: k.Vector, p: Mvp) -> bool:
     """Whether an aircraft no longer has to be avoided: it is past its closest approach, not in the protected
-    zone, and does not fly beside us just outside of it."""
+    zone, and does not fly beside us just outside the zone."""
     past = away.n * relative.n + away.e * relative.e > 0.0
     distance = math.sqrt(away.n * away.n + away.e * away.e)
     tracks = abs(math.atan2(own.e, own.n) - math.atan2(other.e, other.n))
@@ -153,7 +154,7 @@ def _resolve(mind: Mind, i: int, count: int, own: k.Own, wanted: k.Vector, p: Mv
     active, resolved = False, False
     for j in range(len(mind.notes)):
         if pairs[j] == 1.0:
-            pairs[j] = 2.0  # dropped below unless its aircraft is still known
+            pairs[j] = 2.0  # cleared below unless the aircraft is still known
     for row in range(count):
         j = mind.senders[row]
         away, velocity = beside(k.other_at(mind.neighbours, row), own, p.predicted != 0.0)

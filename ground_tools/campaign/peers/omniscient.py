@@ -1,14 +1,14 @@
-"""What could be had at best: aircraft that know everybody's true present and future, without delay or error.
+"""A reference with perfect knowledge: aircraft that know everybody's true present and future, without error.
 
-The paths of all avoiding aircraft are planned together before the flight. Among the motions within the limits
-of speed, climb and acceleration that keep everybody apart, those are looked for whose squared distances from
-the timed paths have the least sum. Of aircraft that do not avoid, their true later positions are known. The
-plan is found by the alternating direction method of multipliers, with one set of copies for every limit and
-for every pair (J. Bento, N. Derbinsky, J. Alonso-Mora, J. Yedidia, "A message-passing algorithm for
-multi-agent trajectory planning", 2013). The set of allowed relative positions is not convex: what is found is
-a local optimum near its beginning. So it shows what is possible, not what is impossible.
+The paths of all avoiding aircraft are planned together before the flight. The plan minimises the sum of
+squared distances from the timed paths, over all motions that keep everybody apart within the limits of speed,
+climb and acceleration. The true future positions of aircraft that do not avoid are known. The plan is found
+by the alternating direction method of multipliers, with one set of copies for every limit and for every pair
+(J. Bento, N. Derbinsky, J. Alonso-Mora, J. Yedidia, "A message-passing algorithm for multi-agent trajectory
+planning", 2013). The set of allowed relative positions is not convex, so the result is a local optimum near
+the initial guess. It shows what is possible, but not what is impossible.
 
-Then the aircraft fly the plan, with the vehicle's lag and through the same limits on commands as any law.
+Then the aircraft fly the plan, with the vehicle's lag and with the same limits on commands as any law.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ NAME: Final = "omniscient"
 STEP_S: Final = 0.5
 """Time step of the plan."""
 APART_M: Final = 11.0
-"""Distance that the plan keeps: the required 10 m, and what aircraft miss the plan by."""
+"""Distance that the plan keeps: the required 10 m plus the error with which aircraft follow the plan."""
 _WITHIN: Final = 0.85
-"""Share of the limits that the plan uses; the rest is for following it."""
+"""Share of the limits that the plan uses; the rest is a reserve for following the plan."""
 _TOLERANCE_M: Final = 0.5
 _LINEARISED, _ROUNDS = 4, 60
 _STILL_M: Final = 2e-3
 _BEGINNINGS: Final = 3
 _MOST_MOVES: Final = 300
 _AWHILE_S: Final = 4.0
-"""Standard deviation of the bump in time by which a first guess of the plan moves an aircraft aside."""
+"""Standard deviation in time of the bump with which the initial guess moves an aircraft aside."""
 _NOWHERE_M: Final = 0.01
 _PULL: Final = (4.0, 1.0, 1.0)
 """Weights of the copies of accelerations, velocities and pairs."""
 _FOLLOW: Final = 0.8
-"""Velocity for each metre that an aircraft is away from its plan, 1/s."""
+"""Gain from the distance to the plan to the commanded velocity, 1/s."""
 
 
 class Limits(NamedTuple):
@@ -73,7 +73,7 @@ def fly(
     """Fly a fleet along its paths. Arguments that are not listed here are those of `flight.fly`.
 
     Args:
-        rng: source of the beginnings of the plan.
+        rng: source of the plan's random initial guesses.
         futures: shape (steps, A, 3): true positions at the end of each step, if nobody avoids.
     """
     avoids = kinds == AVOIDS
@@ -97,12 +97,12 @@ def plan(rng: np.random.Generator, wanted: AnyFloats, others: AnyFloats, limits:
     """Plan the motion of all avoiding aircraft together.
 
     Args:
-        wanted: shape (A, T, 3): where they should be at each time step.
-        others: shape (B, T, 3): where those are that do not avoid.
+        wanted: shape (A, T, 3): wanted position of each aircraft at each time step.
+        others: shape (B, T, 3): positions of the aircraft that do not avoid.
 
     Returns:
-        Where they are at each time step, (A, T, 3). If the plan does not keep everybody apart, others are
-        made from other beginnings; if none does, it is the one that comes nearest to it.
+        Planned positions at each time step, (A, T, 3). If a plan does not keep everybody apart, more are made
+        from other initial guesses. If none does, the plan with the least shortfall is returned.
     """
     if _least_distance(wanted, others) >= APART_M:
         return wanted
@@ -118,10 +118,11 @@ def plan(rng: np.random.Generator, wanted: AnyFloats, others: AnyFloats, limits:
 
 
 def _parted(rng: np.random.Generator | None, wanted: AnyFloats, others: AnyFloats) -> AnyFloats:
-    """A beginning: again and again, those who come nearest to each other are moved aside for a while.
+    """An initial guess: repeatedly, the two aircraft that come nearest to each other are moved aside around
+    that time.
 
     Args:
-        rng: draws the sides; None: everybody goes to the side on which it already passes.
+        rng: draws the sides; None: each aircraft moves to the side on which it already passes.
     """
     x, (number, steps, _) = wanted.copy(), wanted.shape
     everyone = np.concatenate([x, others])
@@ -138,7 +139,7 @@ def _parted(rng: np.random.Generator | None, wanted: AnyFloats, others: AnyFloat
         side = _side(rng, nearest[pair, step], away[pair, step + 1] - away[pair, step])
         short = APART_M + 1.0 - float(nearest[pair, step] @ side)
         bump = np.exp(-0.5 * ((np.arange(steps) - step - 0.5) * STEP_S / _AWHILE_S) ** 2)
-        bump *= np.minimum(np.arange(steps) * STEP_S / _AWHILE_S, 1.0)  # all begin on their paths
+        bump *= np.minimum(np.arange(steps) * STEP_S / _AWHILE_S, 1.0)  # all aircraft begin on their paths
         move = short * bump[:, None] * side
         for i, share in ((a[pair], 0.5 if both else 1.0), (b[pair], -0.5 if both else 0.0)):
             away[a == i] += share * move
@@ -149,10 +150,10 @@ def _parted(rng: np.random.Generator | None, wanted: AnyFloats, others: AnyFloat
 
 
 def _side(rng: np.random.Generator | None, beside: AnyFloats, way: AnyFloats) -> AnyFloats:
-    """The direction in which one of a pair is moved: across the relative motion.
+    """The direction in which one of a pair is moved: perpendicular to the relative motion.
 
     Args:
-        beside: the relative position where they are nearest.
+        beside: the relative position at the closest approach.
         way: the relative motion there.
     """
     way = way / max(float(np.linalg.norm(way)), 1e-9)
@@ -160,21 +161,21 @@ def _side(rng: np.random.Generator | None, beside: AnyFloats, way: AnyFloats) ->
         beside = rng.normal(0.0, [1.0, 1.0, 0.7])
     across = beside - (beside @ way) * way
     if np.linalg.norm(across) < _NOWHERE_M:
-        across = np.array([-way[1], way[0] + 1e-9, 0.0])  # to the right, also of a vertical motion
+        across = np.array([-way[1], way[0] + 1e-9, 0.0])  # to the right, even for a vertical motion
     return np.asarray(across / np.linalg.norm(across))
 
 
 def _nearest(away: AnyFloats) -> AnyFloats:
-    """The relative positions that are nearest on the straight lines between the time steps, along the last
-    axis but one."""
+    """The nearest relative position on each straight line between two time steps; time is the second-last
+    axis."""
     p, d = away[..., :-1, :], np.diff(away, axis=-2)
     square = np.maximum((d**2).sum(axis=-1, keepdims=True), 1e-12)
     return np.asarray(p + np.clip(-(p * d).sum(axis=-1, keepdims=True) / square, 0.0, 1.0) * d)
 
 
 def _optimised(first: AnyFloats, wanted: AnyFloats, others: AnyFloats, limits: Limits) -> AnyFloats:
-    """A local optimum near `first`. Around every relative position, the allowed ones are replaced by a
-    half-space; the problem is convex then, and is solved and set up again a few times."""
+    """A local optimum near `first`. Around every relative position, the set of allowed positions is replaced
+    by a half-space. The resulting convex problem is solved; this is repeated a few times."""
     number, steps, _ = wanted.shape
     solved = _solved(steps, number, len(others))
     a, b = np.triu_indices(number, 1)
@@ -206,8 +207,9 @@ def _optimised(first: AnyFloats, wanted: AnyFloats, others: AnyFloats, limits: L
 
 
 def _directions(away: AnyFloats) -> AnyFloats:
-    """For every time step the direction in which they are nearest between the steps before and after it. Both
-    ends of the part on which they pass each other have that direction, and so all of it keeps apart."""
+    """For every time step, the direction of the nearest relative position in the two intervals that meet at
+    it. Both ends of the interval of closest approach get the same direction, so the whole interval stays
+    separated."""
     nearest = _nearest(away)
     size = np.linalg.norm(nearest, axis=-1, keepdims=True)
     side = nearest / np.maximum(size, 1e-9)
@@ -230,7 +232,8 @@ def _in_ball(way: AnyFloats, most: AnyFloats) -> AnyFloats:
 
 
 def _in_limits(velocity: AnyFloats, limits: Limits) -> AnyFloats:
-    """The nearest velocities within the limits, nearly: first the down speed, then the horizontal one."""
+    """Velocities within the limits, close to the nearest ones: first the vertical speed is limited, then the
+    horizontal one."""
     down = np.clip(velocity[..., 2], -_WITHIN * limits.climb[:, None], _WITHIN * limits.descent[:, None])
     room = np.sqrt(np.maximum(limits.speed[:, None] ** 2 * _FAST**2 - down**2, 0.0))
     return np.concatenate([_in_ball(velocity[..., :2], room[..., None]), down[..., None]], axis=-1)
@@ -241,7 +244,7 @@ _FAST: Final = 0.97
 
 
 def _rate(x: AnyFloats) -> AnyFloats:
-    """Velocities from places, along the last axis but one."""
+    """Velocities from positions; time is the second-last axis."""
     return np.diff(x, axis=-2) / STEP_S
 
 
@@ -254,16 +257,16 @@ def _back(y: AnyFloats) -> AnyFloats:
 
 
 class _Solved(NamedTuple):
-    """Matrices of the linear problem of one round. Its first two places are given."""
+    """Matrices of the linear problem of one round. The first two positions of each plan are given."""
 
     each: AnyFloats
-    """(T - 2, T - 2): from the right-hand side of one aircraft to its other places."""
+    """(T - 2, T - 2): from the right-hand side of one aircraft to its other positions."""
     mean: AnyFloats
-    """The same, in addition, from the mean right-hand side of all aircraft."""
+    """(T - 2, T - 2): added term, from the mean right-hand side of all aircraft."""
     each_first: AnyFloats
-    """(T - 2, 2): from the given places of one aircraft."""
+    """(T - 2, 2): from the given positions of one aircraft."""
     mean_first: AnyFloats
-    """The same, in addition, from the mean of those of all aircraft."""
+    """(T - 2, 2): added term, from the mean given positions of all aircraft."""
 
 
 @lru_cache(maxsize=4)
@@ -272,7 +275,8 @@ def _solved(steps: int, number: int, others: int) -> _Solved:
     bend = _rate(rate)
     pull_bend, pull_rate, pull_pair = _PULL
     same = np.eye(steps) + pull_bend * bend.T @ bend + pull_rate * rate.T @ rate
-    # The pairs couple the aircraft: their mean is held by the others alone, their differences by all.
+    # The pair terms couple the aircraft: only non-avoiding aircraft act on the mean, all act on the
+    # differences.
     inverses, firsts = [], []
     for pairs in (others + number, others):
         matrix = same + pull_pair * pairs * np.eye(steps)
@@ -282,7 +286,7 @@ def _solved(steps: int, number: int, others: int) -> _Solved:
 
 
 def _solve(m: _Solved, right: AnyFloats, wanted: AnyFloats) -> AnyFloats:
-    """The places of one round, (A, T, 3)."""
+    """The positions after one round, (A, T, 3)."""
     number, steps, _ = wanted.shape
     x, start = wanted.copy(), wanted[:, :2]
     sides = right[:, 2:].transpose(1, 0, 2).reshape(steps - 2, 3 * number)
@@ -382,8 +386,8 @@ def _command(world: Conditions, now: float, plan: Floats, law: k.Settings, craft
 def _wish(
     world: Conditions, now: float, plan: Floats, period_s: float, craft: Fleet, i: int, c: int
 ) -> float:
-    """One axis of the velocity that follows the plan: the sum of the plan's velocity half a period later, of
-    what makes up for the vehicle's lag, and of a share of the distance from the plan."""
+    """One axis of the velocity that follows the plan: the plan's velocity half a period later, plus a term
+    that compensates the vehicle's lag, plus a share of the distance from the plan."""
     row = (now + 0.5 * period_s - world.start_s) / STEP_S
     first = min(max(int(row), 0), len(plan) - 3)
     share = min(row - first, 2.0)

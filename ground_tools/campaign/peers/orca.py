@@ -3,8 +3,8 @@
 J. van den Berg, S. J. Guy, M. Lin, D. Manocha, "Reciprocal n-body collision avoidance" (2011). Half-spaces
 and linear programs are the companion's kernels, which agree with the authors' library RVO2-3D on its own
 cases (`ground-tools orca check`), and which also define the direction in an exact head-on encounter, in which
-that library has none. Everything else is as published: planes around the own velocity of now, a
-responsibility of one half, a constant radius, no turn to the right, no margin and no limit on what one
+that library has none. Everything else is as published: planes around the present own velocity, a
+responsibility of one half, a constant radius, no turn to the right, no margin, and no limit on what one
 neighbour may demand.
 """
 
@@ -35,9 +35,9 @@ class Orca(NamedTuple):
     radius_m: float
     """Combined radius R of both aircraft."""
     horizon_s: float
-    """tau."""
+    """Time horizon tau."""
     overlap_s: float
-    """Time in which to leave an overlapping volume; RVO2-3D uses its time step."""
+    """Time in which to leave an overlapping volume. RVO2-3D uses its time step."""
     predicted: float
     """1: positions are extrapolated by the age of the message; 0: they are those of the message."""
     own_volume: float

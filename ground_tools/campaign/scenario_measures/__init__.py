@@ -1,1 +1,2 @@
-"""Measures what the scenarios of `ground_tools.campaign.scenarios` are about, and the command for it."""
+"""Measures for the scenarios of `ground_tools.campaign.scenarios`: arrivals, time to clear, needless
+deviation."""

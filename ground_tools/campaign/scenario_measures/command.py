@@ -1,5 +1,5 @@
-"""The command `ground-tools campaign scenarios`: everyday traffic and files of others, and what the laws make
-of them."""
+"""The command `ground-tools campaign scenarios`: flies everyday traffic, or files of other projects, with
+several laws, and measures the flights."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ LAWS: Final = ("none", "dmuca", "orca-constant")
 SEEDS: Final = "90001-90020"
 DELAY_S: Final = (1.0, 2.0)
 TABLE: Final = tuple(name for name in SCENARIOS if name != "cruise")
-"""Scenarios of the table; `cruise` is for intruders."""
+"""Scenarios of the table. `cruise` is left out, because it is meant for flights with intruders."""
 MOST_EPISODES: Final = 100
 _NOTHING: Final = "-"
 _MOST_NAMED: Final = 8
-"""Kinds of text that were not understood, as text names them; JSON names all."""
+"""Most kinds of not understood input that the text output lists; JSON lists all."""
 
 
 class Flown(NamedTuple):
-    """What one line of the table is about: a scenario or a file, flown by one law."""
+    """One line of the table: a scenario or a file, flown by one law."""
 
     cells: tuple[Cell, ...]
-    """One cell for each episode; the one with most aircraft first."""
+    """One cell for each episode; the one with the most aircraft comes first."""
 
 
 class Source(NamedTuple):
-    """One file."""
+    """One input file."""
 
     path: Path
     zone_m: float | None
-    """What BlueSky's protected zone becomes; None: nothing is scaled."""
+    """Radius to which BlueSky's protected zone is scaled, m; None: no scaling."""
     found: files.Contents
 
 
@@ -140,7 +140,7 @@ def _of_names(args: argparse.Namespace) -> list[Flown]:
 
 
 def _zone(args: argparse.Namespace) -> float | None:
-    """The scaled protected zone, m; None if nothing is scaled."""
+    """Radius to which BlueSky's protected zone is scaled, m; None: no scaling."""
     if args.unscaled and args.zone is not None:
         raise ConfigError("--unscaled cannot be combined with --zone")
     zone = files.SMALL_ZONE_M if args.zone is None else float(args.zone)
@@ -150,7 +150,7 @@ def _zone(args: argparse.Namespace) -> float | None:
 
 
 def _sources(args: argparse.Namespace) -> list[Source]:
-    """The files that are flown.
+    """The files to fly.
 
     Raises:
         ConfigError: an option is wrong, or a file cannot be read.

@@ -1,5 +1,4 @@
-"""Measures of the scenarios: how long it takes until all fly as planned, who arrives, and who deviates for
-nothing."""
+"""Measures of the scenarios: time until all fly as planned, arrivals, and needless deviations."""
 
 from __future__ import annotations
 
@@ -21,25 +20,25 @@ ARRIVED_M: Final = 6.0
 OFF_M: Final = 10.0
 """An aircraft farther than this from its timed point is off its plan. GNSS errors alone cause up to 8 m."""
 SIDE_M: Final = 2.0
-"""An aircraft is beside its path at this distance; less is on it."""
+"""Least distance at which an aircraft counts as beside its path; nearer, it counts as on the path."""
 
 
 class Measures(msgspec.Struct, frozen=True):
-    """One flight."""
+    """Measures of one flight."""
 
     row: Row
     snmac: bool
-    """Whether two aircraft had a near mid-air collision of small aircraft (`judge.SNMAC`)."""
+    """Whether two aircraft had a near mid-air collision of small aircraft (`volumes.SNMAC`)."""
     clear_s: float | None
     """Time to clear: from the first to the last moment at which an avoiding aircraft was off its plan. 0 if
     none ever was; None if one still is at the end."""
     end_m: float
     """Largest distance of an avoiding aircraft from its place on its path at the end of the flight."""
     needless_m: float | None
-    """Largest deviation of an avoiding aircraft that comes within the separation of nobody if nobody avoids;
-    None if there is no such aircraft."""
+    """Largest deviation of an avoiding aircraft that would have kept separation from everybody without any
+    avoidance; None if there is no such aircraft."""
     sides: int
-    """Most changes of side of its path of an avoiding aircraft."""
+    """Largest number of times that an avoiding aircraft changed from one side of its path to the other."""
 
 
 def measured(cell: Cell, seed: int) -> Measures:
@@ -67,7 +66,7 @@ def measured(cell: Cell, seed: int) -> Measures:
 
 
 def figures(flights: Sequence[Measures]) -> dict[str, Any]:
-    """What a table reports of the flights of one scenario and law. All lengths in m, times in s."""
+    """The figures that a table reports for one scenario and law. Lengths in m, times in s."""
     rows = [flight.row for flight in flights]
     needless = [flight.needless_m for flight in flights if flight.needless_m is not None]
     ends = [flight.end_m for flight in flights]
@@ -102,7 +101,7 @@ def _clear(times: AnyFloats, gaps: AnyFloats) -> float | None:
         return 0.0
     if off[-1] == len(gaps) - 1:
         return None
-    at = times.max(axis=1)  # an aircraft without GNSS decides nothing, and has no time
+    at = times.max(axis=1)  # an aircraft without GNSS makes no decision, so its time is missing
     return float(at[off[-1]] - at[off[0]])
 
 
@@ -120,7 +119,7 @@ def _beside(look: Look) -> tuple[AnyFloats, AnyFloats]:
     of shape (decisions after the first, A)."""
     every = int(look.world.conditions(look.avoidance.period_s).period)
     log = look.log
-    # The first decision comes before the first step, and the trace begins after it.
+    # The first decision is made before the first step, after which the trace begins.
     places = look.trace[every - 1 : (len(log.time_s) - 1) * every : every]
     gaps, lateral = np.zeros(places.shape[:2]), np.zeros(places.shape[:2])
     for i, (times, points) in enumerate(zip(look.times, look.points, strict=True)):

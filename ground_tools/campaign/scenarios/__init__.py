@@ -1,7 +1,7 @@
 """Encounters beyond those of `generators`: intruders on missions, and scenarios that are hard for the law.
 
 `missions` draws the paths of intruders that fly missions and avoid nobody. `layouts` draws scenarios of
-everyday traffic in which the law deviates out of proportion, or in which aircraft do not arrive. `files`
-makes flights of files of others, which `bluesky` and `metropolis` read. `surroundings` adds crewed traffic
-and fences. `ground_tools.campaign.scenario_measures` measures what those scenarios are about.
+everyday traffic in which the law deviates too far, or in which aircraft do not arrive. `files` makes flights
+from files of other projects, which `bluesky` and `metropolis` read. `surroundings` adds crewed traffic and
+fences. `ground_tools.campaign.scenario_measures` measures these flights.
 """

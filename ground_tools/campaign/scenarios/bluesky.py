@@ -5,10 +5,10 @@ and a backslash at the end continues a line (`readscn` in `bluesky/stack/simstac
 Speeds are calibrated airspeeds in knots or Mach numbers, altitudes are feet or flight levels, and vertical
 rates are ft/min.
 
-What moves an aircraft is understood: CRE, ADDWPT, DEST, HDG, SPD, ALT, VS and DEL, and DEFWPT for places
-with names. Everything else is counted by its name. The motion is simpler than in BlueSky: an aircraft flies
-straight from point to point, turns and changes its speed at once, has a waypoint's height when it reaches
-it, and its speed from there on. The air is still.
+Commands that move an aircraft are understood: CRE, ADDWPT, DEST, HDG, SPD, ALT, VS and DEL, and DEFWPT for
+named places. All other commands are counted by name. The motion is simpler than in BlueSky: an aircraft flies
+straight from point to point and turns and changes its speed at once. It reaches a waypoint at the waypoint's
+height, and flies at the waypoint's speed from there on. There is no wind.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ _FEWEST: Final = {
     "DEL": 1,
     "DEFWPT": 3,
 }
-"""Commands that are understood, and how many arguments they need."""
+"""Commands that are understood, with the least number of arguments of each."""
 
 Place = tuple[float, float]
 """Latitude and longitude, deg."""
 State = tuple[float, float, float, float]
-"""Time (s), north, east and up (m)."""
+"""Time (s) and position: north, east, up (m)."""
 
 
 @dataclass(slots=True)
@@ -54,9 +54,10 @@ class Plan:
 
     name: str
     corners: list[State]
-    """Positions with their times, connected by straight lines; the first is that of its creation."""
+    """Positions with their times, connected by straight lines. The first one is where the aircraft is
+    created."""
     goes_on: bool = True
-    """Whether it flies on straight after the last corner; else it ends there."""
+    """Whether the aircraft flies straight on after the last corner; otherwise it disappears there."""
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Velocity after the last corner: north, east, up, m/s."""
 
@@ -66,12 +67,12 @@ class Scenario:
     """Content of a scenario file."""
 
     plans: list[Plan]
-    """North and east are relative to the mean of the places where aircraft are created."""
+    """Planned paths. North and east are relative to the mean of the places where aircraft are created."""
     skipped: Counter[str] = field(default_factory=Counter)
-    """How often something was met that is not understood, by its name."""
+    """Number of occurrences of each input that is not understood, by its name."""
 
     def not_understood(self) -> str:
-        """The most frequent things that are not understood, for a message."""
+        """The most frequent inputs that are not understood, for a message."""
         return ", ".join(f"{name} ({count})" for name, count in self.skipped.most_common(5)) or "nothing"
 
 
@@ -94,20 +95,20 @@ class _Fix:
 
 @dataclass(slots=True)
 class _Craft:
-    """An aircraft while its orders are followed."""
+    """State of an aircraft while its orders are processed."""
 
     plan: Plan
     at: State
     heading: float
-    """Rad."""
+    """Heading, rad."""
     speed: float
     """True airspeed, m/s."""
     climb: float = 0.0
     """Vertical rate now, m/s."""
     rate: float = CLIMB_MPS
-    """Size of the vertical rate of the next change of altitude."""
+    """Magnitude of the vertical rate of the next change of altitude, m/s."""
     level: float | None = None
-    """Altitude at which a climb or descent ends."""
+    """Altitude at which the present climb or descent ends, m."""
     route: list[_Fix] = field(default_factory=list)
 
 
@@ -129,7 +130,7 @@ def parse(text: str) -> Scenario:
 
 
 class _Fleet:
-    """All aircraft of a file, while its orders are followed in their order in time."""
+    """All aircraft of a file, while its orders are processed in the order of their times."""
 
     def __init__(self, middle: Place, skipped: Counter[str]) -> None:
         self._middle = middle
@@ -147,7 +148,7 @@ class _Fleet:
         }
 
     def follow(self, order: _Order) -> None:
-        """Follow one order, or count it if it cannot be."""
+        """Process one order, or count it if this is not possible."""
         if order.command == "CRE":
             wrong = self._create(order)
         elif order.command == "DEFWPT":
@@ -199,7 +200,7 @@ class _Fleet:
         return flat(place, self._middle)
 
     def _where(self, words: list[str]) -> tuple[Place, int] | None:
-        """A place, and how many words name it."""
+        """The place at the beginning of some words, and the number of words that it takes."""
         if (place := place_of(words[:2])) is not None:
             return place, 2
         named = self._named.get(words[0].upper()) if words else None
@@ -258,7 +259,7 @@ class _Fleet:
 
 
 def advance(craft: _Craft, until_s: float, flat: Callable[[Place], tuple[float, float]]) -> None:
-    """Fly an aircraft until a time, along its route as far as that goes."""
+    """Fly an aircraft until a time, along its route while there is any."""
     while craft.route and craft.speed > 0.0 and craft.plan.goes_on:
         fix, (t, n, e, up) = craft.route[0], craft.at
         north, east = flat(fix.place)
@@ -296,7 +297,7 @@ def _moved(craft: _Craft, takes_s: float) -> State:
 
 
 def _up(craft: _Craft, takes_s: float) -> float:
-    """Height after some time."""
+    """Height (m) after some time."""
     up = craft.at[3] + craft.climb * takes_s
     if craft.level is not None and (craft.level - craft.at[3]) * (craft.level - up) <= 0.0:
         return craft.level
@@ -304,7 +305,7 @@ def _up(craft: _Craft, takes_s: float) -> float:
 
 
 def _corner(craft: _Craft) -> None:
-    """Note where the aircraft is as a corner of its path."""
+    """Append the aircraft's present position to the corners of its path."""
     if craft.at[0] > craft.plan.corners[-1][0]:
         craft.plan.corners.append(craft.at)
 
@@ -323,7 +324,7 @@ def _finish(craft: _Craft, fleet: _Fleet) -> None:
 
 
 def _orders(text: str, skipped: Counter[str]) -> list[_Order]:
-    """The understood orders of a file by their time."""
+    """The understood orders of a file, sorted by time."""
     lines = list(_lines(text, skipped))
     names = {words[1].upper() for _, words in lines if len(words) > 1 and words[0].upper() == "CRE"}
     found = (_named(time_s, words, names, skipped) for time_s, words in lines)
@@ -353,9 +354,9 @@ def _lines(text: str, skipped: Counter[str]) -> Iterator[tuple[float, list[str]]
 
 
 def _named(time_s: float, words: Sequence[str], names: set[str], skipped: Counter[str]) -> _Order | None:
-    """The order of a line; None, and counted, if it is not understood."""
+    """The order in a line; None if it is not understood, which is counted."""
     command, rest = words[0].upper(), list(words[1:])
-    if command in names and rest:  # the aircraft may come first
+    if command in names and rest:  # the aircraft's name may come first
         command, rest = rest[0].upper(), [words[0], *rest[1:]]
     if command not in _FEWEST:
         skipped[command[:20]] += 1
@@ -375,14 +376,14 @@ def _number(word: str) -> float | None:
 
 
 def flat(place: Place, middle: Place) -> tuple[float, float]:
-    """North and east (m) of a place, on a map with true distances along the axes of its middle."""
+    """North and east (m) of a place, on a map whose distances are true along the axes through its middle."""
     east = (place[1] - middle[1] + 180.0) % 360.0 - 180.0
     across = math.cos(math.radians(middle[0]))
     return _RADIUS_M * math.radians(place[0] - middle[0]), _RADIUS_M * math.radians(east) * across
 
 
 def place_of(words: Sequence[str]) -> Place | None:
-    """The place of two words, latitude and longitude in degrees; None if they are none."""
+    """The place that two words give as latitude and longitude in degrees; None if they do not."""
     if len(words) < 2:
         return None
     lat, lon = _number(words[0]), _number(words[1])
@@ -392,13 +393,13 @@ def place_of(words: Sequence[str]) -> Place | None:
 
 
 def _rate(word: str) -> float | None:
-    """A vertical rate in ft/min, in m/s."""
+    """Convert a vertical rate from ft/min to m/s."""
     value = _number(word)
     return None if value is None or abs(value) > 100.0 * _FASTEST else value * FOOT_M / 60.0
 
 
 def _altitude(word: str) -> float | None:
-    """An altitude in feet or as a flight level, in m."""
+    """Convert an altitude in feet, or a flight level, to m."""
     flight_level = word[:2].upper() == "FL"
     value = _number(word[2:] if flight_level else word)
     up_m = math.nan if value is None else value * FOOT_M * (100.0 if flight_level else 1.0)
@@ -415,7 +416,7 @@ def true_airspeed(word: str, up_m: float) -> float | None:
     value = _number(text.replace("M0.", ".").replace("M", ".").replace("..", "."))
     if value is None or not 0.0 <= value <= _FASTEST:
         return None
-    up_m = min(max(up_m, _LOWEST_M), _HIGHEST_M)  # a climb without an end leads out of the atmosphere
+    up_m = min(max(up_m, _LOWEST_M), _HIGHEST_M)  # an endless climb leads out of the atmosphere
     temperature = max(288.15 - 0.0065 * up_m, 216.65)
     density = 1.225 * (temperature / 288.15) ** 4.256848 * math.exp(-max(up_m - 11_000.0, 0.0) / 6341.552)
     if "M" in text or 0.1 < value < 1.0:

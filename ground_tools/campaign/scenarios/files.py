@@ -1,8 +1,8 @@
-"""Flights from files that others made: scaled to small aircraft, and cut into episodes.
+"""Flights from files of other projects: scaled to small aircraft, and cut into episodes.
 
 In an episode all aircraft are in the air from its beginning to its end. A file whose aircraft are all created
-and end together is one episode. Of any other file an episode is what happens around one conflict of its plan:
-those aircraft that are in the air for `AROUND_S` before and after it and come near its place.
+together and end together is one episode. Any other file has an episode for each planned conflict: the
+aircraft that are in the air for `AROUND_S` before and after it and come near its place.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ PREFIX: Final = "file:"
 ZONE_M, ZONE_HEIGHT_M = 5.0 * 1852.0, 1000.0 * FOOT_M
 """Radius and half height of BlueSky's protected zone."""
 SMALL_ZONE_M: Final = 25.0
-"""What that radius and that half height become."""
+"""Radius and half height to which BlueSky's protected zone is scaled."""
 CRUISE: Final = 0.75
-"""Speed of the fastest aircraft's plan as a share of the greatest speed, as in `generators`."""
+"""Planned speed of the fastest aircraft as a share of the greatest speed, as in `generators`."""
 LEAST_MPS: Final = 5.0
-"""Least greatest speed of aircraft that fly a file as it is."""
+"""Lower bound of the greatest speed of aircraft in a file that is not scaled."""
 NEAR_M: Final = 20.0
 """Two plans that come nearer than this are a conflict."""
 AROUND_S: Final = 60.0
@@ -38,24 +38,24 @@ REACH_M: Final = 300.0
 """Aircraft that come nearer than this to the place of a conflict belong to its episode."""
 MOST_AIRCRAFT: Final = 50
 BEYOND_S: Final = 30.0
-"""Paths begin so long before a flight and go on so long after it, because aircraft that are cut out of a
-longer flight neither start nor stop. Enough to stop from 30 m/s with 1 m/s^2."""
+"""Time by which paths extend beyond a flight at both ends, because aircraft that are cut out of a longer
+flight neither start nor stop. It is enough to stop from 30 m/s at 1 m/s^2."""
 LARGEST_FLEET: Final = 20_000
-"""Most aircraft of a file."""
+"""Greatest number of aircraft in a file."""
 _LARGEST_FILE: Final = 64_000_000
-"""Bytes."""
+"""Largest accepted file, bytes."""
 _TOGETHER_S: Final = 1.0
 _LONGEST_S: Final = 900.0
-"""Longest episode of aircraft that are all created and end together."""
+"""Longest episode of a file whose aircraft are all created together and end together."""
 _ORDER: Final = 200
-"""First number of these flights in the seeds of their random draws."""
+"""First number in the seeds of the random draws of these flights."""
 _JITTER_M: Final = 1.0
-"""Largest offset of a path from its exact place, along each axis, drawn anew for every seed."""
+"""Largest offset of a path from its exact place, along each axis, redrawn for every seed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """Aircraft that fly at the same time, as planned; NED, m and s."""
+    """Planned paths of aircraft that fly at the same time; NED, m and s."""
 
     times: Floats
     """(A, K)."""
@@ -68,7 +68,7 @@ class Episode:
         return len(self.times)
 
     def going_on(self) -> Episode:
-        """The same with paths that come and go on straight for `BEYOND_S`."""
+        """The same episode with paths that extend straight by `BEYOND_S` at both ends."""
         first = (self.points[:, 1] - self.points[:, 0]) / np.diff(self.times[:, :2])
         last = (self.points[:, -1] - self.points[:, -2]) / np.diff(self.times[:, -2:])
         before, after = self.points[:, 0] - BEYOND_S * first, self.points[:, -1] + BEYOND_S * last
@@ -85,18 +85,18 @@ class Episode:
 
 
 class Contents(NamedTuple):
-    """What a file holds."""
+    """Content of a file."""
 
     episodes: tuple[Episode, ...]
     aircraft: int
-    """Number of aircraft of the file."""
+    """Number of aircraft in the file."""
     whole: bool
-    """Whether these are all episodes of the file."""
+    """Whether `episodes` are all episodes of the file."""
     left_out: int
-    """Number of planned conflicts, up to the last episode, that belong to no episode, because one of the two
-    aircraft is in the air for too short a time."""
+    """Number of planned conflicts, up to the last episode, that belong to no episode because one of the two
+    aircraft is not in the air for long enough."""
     skipped: tuple[tuple[str, int], ...]
-    """What was not understood, and how often; the most frequent first."""
+    """Inputs that were not understood, and their numbers, the most frequent first."""
     speed_mps: float
     """Greatest speed of each aircraft."""
 
@@ -111,7 +111,7 @@ def name_of(path: Path, episode: int, zone_m: float | None) -> str:
     """The value of `Cell.generator` that stands for an episode of a file.
 
     Args:
-        zone_m: what BlueSky's protected zone becomes; None: nothing is scaled.
+        zone_m: radius to which BlueSky's protected zone is scaled, m; None: no scaling.
     """
     return f"{PREFIX}{'-' if zone_m is None else f'{zone_m:g}'}:{episode}:{path}"
 
@@ -124,14 +124,14 @@ def draw(name: str, seed: int) -> tuple[Floats, Floats]:
 
     Returns:
         Times (A, K) and waypoints (A, K, 3), as `generators.draw` does. The flight begins `BEYOND_S` after
-        them and ends as much before them.
+        the paths' beginning and ends `BEYOND_S` before their end.
 
     Raises:
         ConfigError: the file cannot be read, or there is no such episode.
     """
     _, zone, text, path = name.split(":", 3)
     number = int(text)
-    # Read in steps, so that few of the episodes of a large file are looked for again and again.
+    # Search in growing steps, so that few episodes of a large file are searched repeatedly.
     most = 100 * (number // 100 + 1)
     episodes = contents(Path(path), None if zone == "-" else float(zone), most).episodes
     if number >= len(episodes):
@@ -147,10 +147,10 @@ def contents(path: Path, zone_m: float | None, most: int) -> Contents:
 
     Args:
         zone_m: as in `name_of`.
-        most: number of episodes after which no more are looked for.
+        most: number of episodes after which the search stops.
 
     Raises:
-        ConfigError: the file cannot be read, or nothing happens in it.
+        ConfigError: the file cannot be read, has too few or too many aircraft, or has no planned conflict.
     """
     scenario = read(path, "--scn")
     if not 2 <= len(scenario.plans) <= LARGEST_FLEET:
@@ -172,7 +172,7 @@ def contents(path: Path, zone_m: float | None, most: int) -> Contents:
 
 
 def read(path: Path, option: str) -> bluesky.Scenario:
-    """What a file says: flight intentions (`metropolis`) if its name ends in `.csv`, else `bluesky`.
+    """The plans in a file: flight intentions (`metropolis`) if its name ends in `.csv`, else `bluesky`.
 
     Args:
         option: command-line option that named the file.
@@ -192,13 +192,14 @@ def read(path: Path, option: str) -> bluesky.Scenario:
 
 
 def _flown(plans: Sequence[bluesky.Plan]) -> list[_Path]:
-    """The paths of plans. An aircraft that goes on after its last corner does so until all is over."""
+    """The paths of plans. An aircraft that flies on after its last corner does so until the end of all
+    paths."""
     last_s = max(plan.corners[-1][0] for plan in plans)
-    # Of a larger file, only what is planned is flown.
+    # In a larger file, aircraft fly only until their last corner.
     few = plans if len(plans) <= MOST_AIRCRAFT else []
     meet_s = max((_passing_s(a, b) for i, a in enumerate(few) for b in few[:i]), default=0.0)
     first_s = max(plan.corners[0][0] for plan in plans)
-    # As long after the last meeting as before it, so that it shows who comes back to its path.
+    # Continue as long after the last meeting as before it, to show which aircraft return to their paths.
     until_s = max(last_s, 2.0 * meet_s - first_s)
     paths = []
     for plan in plans:
@@ -256,7 +257,7 @@ def _fastest(path: _Path) -> float:
 
 
 def _episodes(paths: Sequence[_Path], most: int) -> tuple[list[Episode], bool, int]:
-    """The first episodes, whether these are all, and the number of conflicts that are in none."""
+    """The first episodes, whether these are all, and the number of conflicts that belong to none."""
     if not paths:
         return [], True, 0
     begins = np.array([path.times[0] for path in paths])
@@ -316,7 +317,7 @@ def _pairs(places: AnyFloats) -> Iterator[tuple[int, int]]:
 
 
 def _nearest(paths: Sequence[_Path], among: Sequence[int], place: AnyFloats, at_s: float) -> list[int]:
-    """Those aircraft that come within `REACH_M` of a place around a time, the nearest first."""
+    """The aircraft that come within `REACH_M` of a place around a time, the nearest first."""
     found = []
     for i in among:
         times = np.arange(at_s - AROUND_S, at_s + AROUND_S + 1.0, 2.0)
@@ -331,8 +332,8 @@ def _at(path: _Path, at_s: float) -> AnyFloats:
 
 
 def _cut(paths: Sequence[_Path], start_s: float, end_s: float) -> Episode:
-    """The parts of the paths between two times. The clock is 0 at the first, and the middle of the paths is
-    the origin."""
+    """The parts of the paths between two times. Time 0 is the first of these times, and the origin is the
+    middle of the paths."""
     corners = np.concatenate([[start_s, end_s], *(path.times for path in paths)])
     inner = corners[(corners >= start_s) & (corners <= end_s)]
     times = np.unique(np.round(inner - start_s, 2))

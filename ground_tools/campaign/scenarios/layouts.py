@@ -1,8 +1,8 @@
 """Scenarios of everyday traffic: timed paths in local NED, drawn from a seed.
 
 As in `generators`, a fleet meets around (0, 0), 100 m above the ground, at `MEETING_S`. Here aircraft begin,
-end or fly nearer to each other than there, or stop at a place of their own. A path that ends at a place stays
-there until `END_S`, so that a flight shows whether everybody arrives.
+end or fly nearer to each other than in `generators`, or stop at separate places. A path that ends at a place
+stays there until `END_S`, so that a flight shows whether everybody arrives.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from companion.arrays import AnyFloats, Floats
 from ground_tools.campaign.generators import END_S, HEIGHT_M, MEETING_S
 
 _ORDER: Final = 100
-"""First number of these generators in the seeds of their random draws."""
+"""First number in the seeds of the random draws of these generators."""
 _SLOW, _FAST = 0.5, 0.75
 _JITTER_M: Final = 1.0
 """Largest offset of a path from its exact place, along each axis."""
 _TRAIL_M: Final = 42.0
 _RING_M: Final = 100.0
-"""Distance from which aircraft approach places of their own."""
+"""Distance from which aircraft approach their places."""
 
 Way = tuple[AnyFloats, AnyFloats]
 """Times (A, K), s, and level points (A, K, 2), m. Heights are added if the points have no third column."""
@@ -37,7 +37,7 @@ class Scenario:
     """One scenario."""
 
     words: str
-    """What is flown."""
+    """Description of the scenario."""
     aircraft: int
     """Number of aircraft with which the tables fly it."""
     layout: Layout
@@ -69,7 +69,7 @@ def _speed(most: float, rng: np.random.Generator) -> float:
 
 
 def _straight(heading: AnyFloats, place: AnyFloats, speed: float) -> Way:
-    """Straight paths through a place (A, 2 or 3) of each aircraft at the meeting time."""
+    """Straight paths that pass the given place (A, 2 or 3) of each aircraft at the meeting time."""
     way = np.zeros(place.shape)
     way[:, 0], way[:, 1] = speed * np.cos(heading), speed * np.sin(heading)
     times = np.tile([0.0, END_S], (len(heading), 1))
@@ -101,7 +101,7 @@ def _formation(apart_m: float, axis: int) -> Layout:
 
 
 def _arriving(starts: AnyFloats, ends: AnyFloats, speed: float, after_s: AnyFloats, via: bool) -> Way:
-    """From each start to an end, where the aircraft stays; over (0, 0) if `via`.
+    """Paths from each start to an end, where the aircraft stays; via (0, 0) if `via`.
 
     Args:
         after_s: time of each departure.
@@ -109,26 +109,27 @@ def _arriving(starts: AnyFloats, ends: AnyFloats, speed: float, after_s: AnyFloa
     fixes = [starts, np.zeros(starts.shape), ends] if via else [starts, 0.5 * (starts + ends), ends]
     legs = np.linalg.norm(np.diff(np.stack(fixes, axis=1), axis=1), axis=2) / speed
     at = after_s[:, None] + np.cumsum(np.column_stack([np.zeros(len(starts)), legs]), axis=1)
-    # It stands at its start before, and at its end after that.
+    # The aircraft stands at its start before its departure, and at its end after its arrival.
     points = np.stack([starts, *fixes, ends], axis=1)
     times = np.column_stack([np.full(len(starts), -1.0), at, np.full(len(starts), END_S)])
     return times, points
 
 
 def _parking(aircraft: int, most: float, rng: np.random.Generator) -> Way:
-    """From all sides to places in a row, 15 m apart, where all arrive at the same time."""
+    """Aircraft come from all sides to places in a row, 15 m apart, where all arrive at the same time."""
     speed = _speed(most, rng)
     bearing = 2.0 * math.pi * (np.arange(aircraft) + rng.uniform()) / aircraft
     starts = _RING_M * np.column_stack([np.cos(bearing), np.sin(bearing)])
     ends = np.zeros((aircraft, 2))
-    # Each goes to the place on its own side, so that paths do not cross.
+    # Each aircraft flies to the place on its own side, so that paths do not cross.
     ends[np.argsort(starts[:, 1]), 1] = (np.arange(aircraft) - (aircraft - 1) / 2.0) * 15.0
     needs_s = np.linalg.norm(ends - starts, axis=1) / speed
     return _arriving(starts, ends, speed, needs_s.max() - needs_s, via=False)
 
 
 def _landing(aircraft: int, most: float, rng: np.random.Generator, ends: AnyFloats) -> Way:
-    """From an arc of 90 degrees over one fix, 2 s apart, and from there to places of their own."""
+    """Aircraft come from an arc of 90 degrees over one fix, 2 s apart, and fly from there to separate
+    places."""
     speed = _speed(most, rng)
     bearing = math.pi + 0.5 * math.pi * ((np.arange(aircraft) + 0.5) / aircraft - 0.5)
     far = _RING_M + rng.permutation(aircraft) * 2.0 * speed
@@ -190,7 +191,7 @@ def _places(number: int, rng: np.random.Generator) -> AnyFloats:
 
 
 def _cruise(aircraft: int, most: float, rng: np.random.Generator) -> Way:
-    """Straight and level through one place, from random sides, at half of the greatest speed."""
+    """Straight, level paths through one place, from random sides, at half of the greatest speed."""
     heading = rng.uniform(0.0, 2.0 * math.pi, aircraft)
     return _straight(heading, np.zeros((aircraft, 2)), 0.5 * most)
 

@@ -2,9 +2,9 @@
 
 A line holds the time of filing, the name, the type, the time of departure, "(longitude, latitude)" of the
 start and of the goal, the priority, and six columns that only loitering missions fill. Times are HH:MM:SS.
-Types are MP20 and MP30, which that project's scenario files create at 20 and 30 knots. The intentions say
-nothing of routes and heights, which are what the concepts of that project differ in: here everybody flies
-straight, and all at one height.
+Types are MP20 and MP30, which that project's scenario files create at 20 and 30 knots. The intentions contain
+no routes or heights, because the concepts of that project differ in those. Here all aircraft fly straight, at
+one height.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def parse(text: str) -> Scenario:
 
 
 def _flight(row: Sequence[str]) -> _Flight | str:
-    """The flight of a line, or the name of what is not understood."""
+    """The flight in a line, or the name of the fault if the line is not understood."""
     if len(row) < _COLUMNS:
         return "too few columns"
     if any(row[_COLUMNS:]):

@@ -1,7 +1,7 @@
 """Intruders that fly a mission and avoid nobody: the kinds `survey`, `shuttle`, `orbit` and `stop-and-go`.
 
-Each sends its state as everybody does, and flies a level path that leads past the mean position of the other
-aircraft at the middle of the flight, within `PASS_M`. It is somewhere in the middle of its mission then.
+Each sends its state like all aircraft. At the middle of the flight, its level path passes the mean position
+of the other aircraft within `PASS_M`. It is then in the middle of its mission.
 """
 
 from __future__ import annotations
@@ -15,20 +15,19 @@ import numpy as np
 from companion.arrays import Bools, Floats
 
 PASS_M: Final = 5.0
-"""Largest distance of the intruder's place at the middle of the flight from the mean position of the
-others."""
+"""Largest distance, at the middle of the flight, between the intruder and the mean position of the others."""
 _ORBIT_STEP_RAD: Final = math.radians(15.0)
 _ORDER: Final = 10
-"""Number of this stream of random draws of a seed."""
+"""Number that separates this stream of random draws from the others of a seed."""
 
 Legs = list[tuple[float, float, float]]
 """Time (s), north and east (m) of the corners of a path, from its beginning on."""
 Mission = Callable[[np.random.Generator, float], Legs]
-"""Draws a path that lasts at least so many seconds, with its axis to the north."""
+"""Draws a path that lasts at least the given number of seconds, with its axis to the north."""
 
 
 def _survey(rng: np.random.Generator, lasts_s: float) -> Legs:
-    """Parallel lanes, flown to and fro: legs of 40 to 120 m, 10 to 30 m apart, at 2.5 to 6 m/s."""
+    """Parallel lanes, flown back and forth: legs of 40 to 120 m, 10 to 30 m apart, at 2.5 to 6 m/s."""
     speed, leg, apart = rng.uniform(2.5, 6.0), rng.uniform(40.0, 120.0), rng.uniform(10.0, 30.0)
     legs: Legs = [(0.0, 0.0, 0.0)]
     while legs[-1][0] < lasts_s:
@@ -85,7 +84,8 @@ def flown(name: str, times: Floats, points: Floats, on_mission: Bools, seed: int
         on_mission: shape (A,): which aircraft fly missions.
 
     Returns:
-        Times (A, L) and points (A, L, 3). Paths with fewer corners have more points on their straight parts.
+        Times (A, L) and points (A, L, 3). Paths with fewer corners get additional points on their straight
+        parts.
     """
     start_s, end_s = float(times.min()), float(times.max())
     middle_s = 0.5 * (start_s + end_s)
@@ -131,7 +131,7 @@ def _path(
 
 
 def _with_points(times: Floats, points: Floats, number: int) -> tuple[Floats, Floats]:
-    """The same path with so many points: the longest parts (by time) are halved again and again."""
+    """The same path with the given number of points: the longest part (by time) is halved repeatedly."""
     at = times.tolist()
     while len(at) < number:
         longest = int(np.argmax(np.diff(at)))

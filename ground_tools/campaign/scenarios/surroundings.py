@@ -1,4 +1,4 @@
-"""What a flight may have beside its fleet: crewed traffic that passes it, and a fence."""
+"""Optional surroundings of a fleet: crewed traffic that passes, and a fence."""
 
 from __future__ import annotations
 

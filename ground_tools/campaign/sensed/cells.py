@@ -1,4 +1,4 @@
-"""Keeps the outcomes of flights towards what sends nothing, and sums them up."""
+"""Stores and summarises the outcomes of flights towards things that transmit nothing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _HEAD: Final = (
 
 
 def kept(folder: Path, cell: Cell) -> Kept[Row]:
-    """The stored results of a cell, its rows by seed.
+    """The stored results of a cell: rows by seed.
 
     Raises:
         ConfigError: the results come from other software, or cannot be read.

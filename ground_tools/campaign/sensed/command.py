@@ -21,7 +21,7 @@ from ground_tools.common.run_options import processes_of, seeds_of
 
 SENSED, UNHEARD = "sensed", "unheard"
 _GROUPS: Final = {SENSED: ("pole", "wall"), UNHEARD: ("unheard-5", "unheard-10")}
-"""Kinds that go by one name: what stands, and aircraft at 5 and 10 m/s."""
+"""Groups of kinds: stationary obstacles, and aircraft at 5 and 10 m/s."""
 
 Part = tuple[Cell, list[int]]
 

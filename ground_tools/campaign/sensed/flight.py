@@ -1,9 +1,8 @@
-"""Flies the companion's own core towards something that only a sensor sees, in one thread and in virtual
-time.
+"""Flies the companion's own core towards something that only a sensor sees, in virtual time in one thread.
 
-The vehicle is that of the attacks (`attacks.craft`), with an attitude: it leans as its acceleration asks, and
-its nose turns into the direction of flight. The sensor is the mock vehicle's; its frames are read by the
-link's own readers. So the tracks are made by the code that flies.
+The vehicle is that of the attacks (`attacks.craft`) with an attitude: it tilts according to its acceleration,
+and its nose turns into the direction of flight. The sensor is the mock vehicle's, and the link's own readers
+read its frames, so the tracks come from the code that flies.
 """
 
 from __future__ import annotations
@@ -44,9 +43,9 @@ SEPARATION_M: Final = separation_m(AvoidanceConfig(), False)[0]
 HIT_M: Final = 2.0
 _GRAVITY: Final = 9.81
 _TURN_RPS: Final = math.radians(60.0)
-"""How fast the nose turns."""
+"""Turn rate of the nose."""
 _SLOW_MPS: Final = 0.7
-"""Below this speed the nose stays."""
+"""Speed below which the heading does not change."""
 _FRAME: Final = LocalFrame(HOME.lat_deg, HOME.lon_deg, HOME.alt_m)
 
 
@@ -57,11 +56,11 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     separation_m: float
     """Least distance from the obstacle."""
     unavoided_m: float
-    """The same if the aircraft had flown its path."""
+    """The least distance if the aircraft had flown its path without avoiding."""
     deviation_m: float
-    """Largest distance from the timed point of the path as it was planned."""
+    """Largest distance from the timed point of the planned path."""
     back_m: float
-    """The same at the end."""
+    """Distance from the timed point at the end."""
     seen_s: float | None
     """Time from the first decision that saw the obstacle to the least distance; None: it was never seen."""
 
@@ -72,7 +71,7 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
 
     @property
     def hit(self) -> bool:
-        """Whether it flew into the obstacle."""
+        """Whether the aircraft hit the obstacle."""
         return self.separation_m < HIT_M
 
 
@@ -119,14 +118,14 @@ class Seeing(Guided):
             self.saw_s = now_s
 
     def _believed(self) -> Vec3:
-        """Position that the vehicle last reported; its own before the first report."""
+        """Position that the vehicle last reported; its true position before the first report."""
         own = self.core.own
         if own.position is None:
             return self.body.position
         return _FRAME.to_ned(own.position.lat_deg, own.position.lon_deg, own.position.alt_msl_m)
 
     def _attitude(self) -> Vec3:
-        """Roll, pitch and yaw now."""
+        """Present roll, pitch and yaw (rad)."""
         (vn, ve, _), (bn, be, _) = self.body.velocity, self._before
         north, east = (vn - bn) / STEP_S, (ve - be) / STEP_S
         self._before = self.body.velocity
@@ -148,13 +147,13 @@ class Seeing(Guided):
                 continue
             if event is not None:
                 found.append(event)
-        # Nothing more of a burst comes in this step.
+        # No further frame of a burst is sent in this step.
         whole = self._readers.advance(now_s + 2.0 * SETTLED_S)
         return found if whole is None else [*found, whole]
 
 
 def fly(cell: Cell, seed: int) -> Row:
-    """Fly the flight of a seed."""
+    """Fly the encounter of a seed."""
     scene = draw(cell, seed)
     own = Seeing(cell, scene, np.random.default_rng([seed, 29]))
     least, least_s, unavoided, deviation, away = math.inf, 0.0, math.inf, 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Draws what is in the way of the own aircraft. Flown as planned, it passes within `PASS_M`.
+"""Draws an obstacle for the own aircraft, which would pass it within `PASS_M` on its planned path.
 
 The own aircraft flies straight and level, at 0.5 to 0.75 of its greatest speed, as in the other campaigns.
 """
@@ -20,12 +20,12 @@ KINDS: Final[tuple[Kind, ...]] = ("pole", "wall", "unheard-5", "unheard-10")
 SPEED_MPS: Final = {"unheard-5": 5.0, "unheard-10": 10.0}
 PASS_M: Final = 5.0
 BEGIN_S: Final = 5.0
-"""The path begins at this time."""
+"""Time at which the path begins."""
 MEETING_S: Final = 30.0
 END_S: Final = 60.0
 HEIGHT_M: Final = 50.0
 _ORDER: Final = 23
-"""Number of this stream of random draws of a seed."""
+"""Number that separates this stream of random draws from the others of a seed."""
 
 
 class Cell(msgspec.Struct, frozen=True, kw_only=True):
@@ -33,18 +33,18 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
 
     kind: Kind
     range_m: Annotated[float, Meta(ge=5, le=600)] = 40.0
-    """How far the sensor sees."""
+    """Range of the sensor."""
     message: Literal["scan", "points", "tracks", "proximity"] = "scan"
     fov_deg: Annotated[float, Meta(gt=0, le=360)] = 360.0
     rate_hz: Annotated[float, Meta(ge=1, le=20)] = 10.0
     speed_mps: Annotated[float, Meta(ge=1, le=30)] = 5.0
     """Greatest speed of the own aircraft."""
     acceleration_mps2: Annotated[float, Meta(gt=0, le=20)] = 2.0
-    """Greatest change of its command; the vehicle can do 2.5 m/s^2."""
+    """Greatest rate of change of its command; the vehicle itself can accelerate at 2.5 m/s^2."""
 
 
 class Scene(msgspec.Struct, frozen=True, kw_only=True):
-    """One flight, fully drawn."""
+    """One encounter with all random values drawn."""
 
     heading_rad: float
     speed_mps: float
@@ -57,7 +57,7 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def draw(cell: Cell, seed: int) -> Scene:
-    """Draw the flight of a seed. Cells that differ only in the sensor have the same."""
+    """Draw the encounter of a seed. Cells that differ only in the sensor have the same encounter."""
     rng = np.random.default_rng([seed, _ORDER, KINDS.index(cell.kind)])
     heading = float(rng.uniform(0.0, 2.0 * math.pi))
     speed = cell.speed_mps * float(rng.uniform(0.5, 0.75))

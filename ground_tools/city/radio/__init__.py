@@ -1,1 +1,1 @@
-"""The radio of a city: who chooses which transports, what comes through, and how old information is."""
+"""The radio of a city: the choice of transports, the reception of messages, and the age of information."""

@@ -1,4 +1,4 @@
-"""How old the information is that aircraft have of those near them, in compiled code."""
+"""Age of the information that aircraft have about those near them, in compiled code."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from ground_tools.city.loop import State
 from ground_tools.city.tables import NOBODY
 
 WITHIN_M = 500.0
-"""Distance within which the age counts: that of a head-on encounter in 20 s."""
+"""Distance within which the age counts: two aircraft that approach head-on meet after 20 s."""
 OLD_S = 3.0
-# Sums: pairs heard, their ages (s), those older than OLD_S, pairs without a track.
+# Entries of the sums: pairs with a track, their ages (s), those older than OLD_S, pairs without a track.
 A_HEARD, A_AGE, A_OLD, A_UNHEARD, AGES = range(5)
 
 
 @compiled()
 def add_ages(now: float, within_m: float, state: State, sums: Floats) -> None:
-    """Add the age of every aircraft's information of every other one that is near now.
+    """Add the age of each aircraft's information about every other aircraft that is near now.
 
     Args:
-        sums: AGES sums.
+        sums: shape (AGES,); added to.
     """
     craft, air, tracks, links = state.craft, state.air, state.tracks, state.links
     for i in range(len(air.flight)):

@@ -1,4 +1,4 @@
-"""Who chooses which transports: a fixed set, the rule, or the frozen policy, for many aircraft at a time.
+"""Chooses the transports of many aircraft at a time: by a fixed set, the rule, or the frozen policy.
 
 The observations are those of `companion.atmc.senses`, from what the city's aircraft heard. The network of a
 policy is evaluated for many aircraft at once; a test compares the choices with `companion.atmc.policy`.
@@ -37,9 +37,10 @@ from ground_tools.city.loop import State
 from ground_tools.city.tables import NOBODY
 
 _SURE_AGAIN: Final = 5
-"""As in `companion.atmc.chooser`: decisions in a row after a refusal before the policy is followed again."""
+"""Decisions in a row that a policy must not refuse, after a refusal, before it is followed again; as in
+`companion.atmc.chooser`."""
 _ROWS_AT_ONCE: Final = 2000
-"""So that the values of a layer stay in the processor's cache."""
+"""Rows that are evaluated at once: few enough that a layer's values stay in the processor's cache."""
 _compiled = compiled()
 
 
@@ -57,7 +58,7 @@ class Chooser(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Fixed:
-    """Always the same set.
+    """Always uses the same set.
 
     Args:
         action: Locations per second by transport.
@@ -75,10 +76,10 @@ class Fixed:
 
 
 class ByRule:
-    """The rule of `companion.atmc.rule`: BLE 4 as well if any aircraft is heard within its range.
+    """The rule of `companion.atmc.rule`: it adds BLE 4 if any aircraft is heard within the range of BLE 4.
 
     Args:
-        region: whose law is kept.
+        region: region whose rules limit the sets.
 
     Raises:
         ConfigError: a set that the rule wants is not legal in the region.
@@ -107,7 +108,7 @@ class ByRule:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Observations of B aircraft."""
+    """Observations of B aircraft; R rows of neighbours in all."""
 
     own: Floats
     """(B, own columns)."""
@@ -116,14 +117,14 @@ class Seen:
     count: Integers
     """(B,): number of neighbours of each."""
     least_log_distance: Floats
-    """(B,): least "log_distance"; infinite if nobody is heard."""
+    """(B,): least value of the column "log_distance"; infinite if nobody is heard."""
 
 
 class Senses:
     """Builds observations.
 
     Args:
-        most: most neighbours of one aircraft.
+        most: greatest number of neighbours of one aircraft.
     """
 
     def __init__(self, most: int) -> None:
@@ -133,8 +134,8 @@ class Senses:
     def look(self, now_s: float, turn: Integers, state: State, rng: np.random.Generator) -> Seen:
         """The observations of the aircraft in these slots.
 
-        The share of packets that survive is that of the nearest senders, with the chance of a count over
-        about ten seconds.
+        The share of packets that survive is measured on the nearest senders, with the random error of
+        counting for about ten seconds.
         """
         if len(self._rows) < len(turn) * self._most:
             self._rows = np.zeros((len(turn) * self._most, len(NEIGHBOUR_COLUMNS)), np.float32)
@@ -153,7 +154,7 @@ class Senses:
 
 
 def name_of(flight: int) -> str:
-    """Identity of a flight."""
+    """Remote ID identity of a flight."""
     return f"city-{flight:07d}"
 
 
@@ -161,13 +162,13 @@ class ByPolicy:
     """A frozen policy, with the fall-back of `companion.atmc.chooser`.
 
     Args:
-        data, name: content and name of the policy's file.
-        region: whose law is kept.
+        data, name: contents and name of the policy file.
+        region: region whose rules limit the sets.
         slots: number of slots.
-        most: size of the tables of tracks.
+        most: capacity of each table of tracks.
 
     Raises:
-        ConfigError: the file cannot be used, or the policy is none for any number of neighbours.
+        ConfigError: the file cannot be used, or its policy does not take any number of neighbours.
     """
 
     def __init__(self, data: bytes, name: str, region: Region, slots: int, most: int) -> None:
@@ -271,11 +272,12 @@ def _observe(
     now: float, turn: Integers, most: int, state: State, rows: Float32s, counts: Integers, least: Floats,
     sums: Floats, near: Floats,
 ) -> int:  # fmt: skip
-    """Write what the aircraft in these slots hear. Returns the number of rows.
+    """Write what the aircraft in these slots hear. Returns the number of rows written.
 
     Args:
-        sums: shape (B, 2, 3): Locations per second of the nearest senders, and how many of them arrive.
-        near: shape (FEWEST_SENDERS, 7): written.
+        sums: shape (B, 2, 3): written; Location messages per second that the nearest senders send, and how
+            many arrive.
+        near: shape (FEWEST_SENDERS, 7): working space; overwritten.
     """
     air, tracks, links = state.air, state.tracks, state.links
     used = 0
@@ -319,7 +321,7 @@ def _observe(
 
 @_compiled
 def _keep(distance: float, row: Float32s, fails: Float32s, near: Floats, sums: Floats) -> None:
-    """Count a sender, if it is near, and keep it if it is among the nearest so far.
+    """Add a sender to the sums if it is near, and keep it if it is among the nearest so far.
 
     Args:
         fails: log probability that one frame on a transport is not received.

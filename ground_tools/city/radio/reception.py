@@ -1,8 +1,8 @@
-"""What comes through: the channel equations for everybody in reach, as chances for the draws of `draws`.
+"""Reception probabilities by the channel equations, for everybody in reach; `draws` draws from them.
 
-The equations are those of `sitl_mocks.channel.equations`, with sums over all aircraft that really reach a
-receiver. Two things are tabulated or sampled: the mean delay over the survival of packets, and, for a sender
-that senses more than `SAMPLE` Wi-Fi stations, the share of them that also reach the receiver.
+The equations are those of `sitl_mocks.channel.equations`, with sums over all aircraft that reach a receiver.
+Two things are tabulated or sampled: the mean delay over the survival of packets, and, for a sender that
+senses more than `SAMPLE` Wi-Fi stations, the share of them that also reach the receiver.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from sitl_mocks.channel.parameters import (
 SAMPLE: Final = 64
 """Most Wi-Fi stations around a sender that are looked at one by one for each receiver."""
 _LOWEST: Final = -8.0
-"""Lowest log survival of the tables; below it, the log of a chance is extrapolated linearly."""
+"""Lowest log survival in the tables; below it, the tabulated value is extrapolated linearly."""
 _NODES: Final = (401, 121, 401)
 _HIGHEST_LOAD, _LOAD_NODES = 4.0, 161
-"""Highest Wi-Fi load of the tables, and number of loads. Higher loads are taken for the highest."""
+"""Highest Wi-Fi load in the tables, and number of load nodes. Higher loads are clamped to the highest one."""
 _WIDE: Final = OVERLAPPED_CHANNELS / SECONDARY_CHANNELS
-# What an aircraft adds to the loads of those that it reaches; log factors but the last one, a share of time.
+# What an aircraft adds to the loads of those it reaches: log survivals, except the last one, a share of time.
 (
     BLE4_BY_BLE4, POINTER_BY_BLE4, BLE4_BY_BLE5, POINTER_BY_BLE5, AUXILIARY_BY_BLE5, WIFI_BY_BLE5,
     WIFI_BY_WIFI, AUXILIARY_BY_WIFI, LOAD, PARTS_OF_LOAD,
@@ -53,19 +53,19 @@ _compiled = compiled()
 
 
 class Around(NamedTuple):
-    """What is on the air around each of M aircraft."""
+    """Radio traffic around each of M aircraft."""
 
     adds: Floats
     """(M, PARTS_OF_LOAD): what each aircraft adds."""
     total: Floats
-    """(M, PARTS_OF_LOAD): sums over all that reach it."""
+    """(M, PARTS_OF_LOAD): sums of `adds` over all aircraft that reach it."""
     crowding: Floats
-    """(M,): `carrier_sense.crowding` of the load that it senses."""
+    """(M,): `carrier_sense.crowding` of the Wi-Fi load that it senses."""
     hearing: Floats
-    """(M, 3): log probability that its own packets and foreign ones leave alive BLE 4's PDU, a pointer, an
-    auxiliary packet."""
+    """(M, 3): log probability that a BLE 4 PDU, a pointer and an auxiliary packet survive the receiver's own
+    transmissions and the background traffic."""
     wifi_quiet: float
-    """Log probability that foreign transmissions leave a beacon alive."""
+    """Log probability that a beacon survives the background traffic."""
     listens: float
     """1: stations sense the carrier."""
     reach2: float
@@ -73,14 +73,15 @@ class Around(NamedTuple):
 
 
 class Chances(NamedTuple):
-    """Log of -log(1 - p), where p is the chance of one frame, over log survival; one table for each rate."""
+    """Tables of log(-log(1 - p)) over log survival, one for each rate; p is the probability that one frame is
+    received."""
 
     ble4: Floats
     """(rates, nodes)."""
     ble5: Floats
     """(rates, nodes, nodes): over the survival of pointer and auxiliary packet."""
     wifi: Floats
-    """(rates, nodes, loads): over survival and the load around the sender."""
+    """(rates, nodes, loads): over the survival of the beacon and the load around the sender."""
 
 
 class AnalyticRadio:
@@ -88,14 +89,14 @@ class AnalyticRadio:
 
     Args:
         parameters: one Wi-Fi channel for all, and no shadowing.
-        rates: Locations per second that may be used on any transport.
+        rates: Location messages per second that may be used on any transport.
         chooser: chooses the transports.
         slots: number of slots.
         message_s: time between two messages, which must be the GNSS period.
         rng: source of the draws of samples.
 
     Raises:
-        ConfigError: the parameters want what is not modelled here.
+        ConfigError: the parameters ask for something that is not modelled here.
     """
 
     def __init__(
@@ -127,7 +128,7 @@ class AnalyticRadio:
 
     @property
     def sensed_load(self) -> Floats:
-        """(M,): Wi-Fi load around each aircraft, in shares of time."""
+        """(M,): Wi-Fi load around each aircraft, as a share of time."""
         return np.asarray(self.around.total[:, LOAD])
 
     def choose(self, part: int, now: float, state: State) -> None:
@@ -139,7 +140,8 @@ class AnalyticRadio:
         self.compute(turn, state)
 
     def compute(self, turn: Integers, state: State) -> None:
-        """Compute the loads around all aircraft, and the chances of what those whose turn it is send."""
+        """Compute the loads around all aircraft, and the reception probabilities of the senders whose turn it
+        is."""
         air, around, parameters = state.air, self.around, self._parameters
         rates = np.where(air.flight[:, None] != NOBODY, air.rates, 0)
         around.adds[:] = adds_of(rates, parameters)
@@ -176,7 +178,7 @@ def offsets_s(parameters: ChannelParameters) -> Floats:
 
 
 def adds_of(rates: Integers, parameters: ChannelParameters) -> Floats:
-    """What aircraft with these rates add to the loads of those that they reach, (M, PARTS_OF_LOAD)."""
+    """What aircraft with these rates add to the loads of those they reach, (M, PARTS_OF_LOAD)."""
     s, period_ms = shares_of(parameters), parameters.gnss_period_ms
     ble4, ble5, wifi = (rates[:, m].astype(float) for m in range(len(MODES)))
     adds = np.zeros((len(rates), PARTS_OF_LOAD))
@@ -199,7 +201,7 @@ def adds_of(rates: Integers, parameters: ChannelParameters) -> Floats:
 
 
 def chances_of(parameters: ChannelParameters, rates: Collection[int]) -> Chances:
-    """Tables for these rates."""
+    """Reception tables for these rates."""
     loads = np.linspace(0.0, _HIGHEST_LOAD, _LOAD_NODES)
     grids = [np.exp(np.linspace(_LOWEST, 0.0, nodes)) for nodes in _NODES]
     wifi_loads = loads if parameters.wifi.access == "carrier_sense" else loads[:2]
@@ -238,7 +240,7 @@ def _wait_s(load: Floats, parameters: ChannelParameters) -> Floats:
 
 
 def _hazard(delay_s: Floats, rate: int, parameters: ChannelParameters) -> Floats:
-    """-log(1 - p) of the chance p of one frame with which frames at this rate have a mean delay.
+    """-log(1 - p) for the probability p of one frame that gives frames at this rate the given mean delay.
 
     The first frame begins at a random time within one interval, so that the mean is interval (1 / p - 1/2).
     """
@@ -249,7 +251,7 @@ def _hazard(delay_s: Floats, rate: int, parameters: ChannelParameters) -> Floats
 
 @_compiled
 def _sum(links: Links, flight: Integers, rates: Integers, around: Around) -> None:
-    """Sum up what reaches each aircraft."""
+    """Sum up the contributions of all senders that reach each aircraft."""
     around.total[:] = 0.0
     for i in range(len(flight)):
         total = around.total[i]
@@ -272,7 +274,7 @@ def _sensed(
     j: int, start: float, rates: Integers, position: Floats, links: Links, around: Around, places: Floats,
     near: Floats, who: Integers,
 ) -> int:  # fmt: skip
-    """Write a sample of the Wi-Fi stations that aircraft j senses, with what each stands for. Returns its
+    """Write a sample of the Wi-Fi stations that aircraft j senses, with the weight of each. Returns its
     size."""
     stations = 0
     for e in range(links.start[j], links.start[j + 1]):
@@ -300,7 +302,7 @@ def _sensed(
 def _common(
     i: int, size: int, position: Floats, reach2: float, places: Floats, near: Floats, who: Integers
 ) -> tuple[float, float]:
-    """Sums over the stations of a sample that reach aircraft i, too."""
+    """Weighted sums over the stations of a sample that also reach aircraft i."""
     blind = load = 0.0
     for s in range(size):
         n, e, d = (
@@ -317,7 +319,7 @@ def _survive(
     turn: Integers, starts: Floats, rates: Integers, position: Floats, air: Air, links: Links,
     around: Around, chances: Chances, places: Floats, near: Floats, who: Integers,
 ) -> None:  # fmt: skip
-    """Compute the chances of all links whose senders are in `turn`."""
+    """Compute the reception probabilities of all links whose senders are in `turn`."""
     for t in range(len(turn)):
         j = turn[t]
         size, sends = 0, 0
@@ -347,8 +349,8 @@ def _survive(
 
 @_compiled
 def _logs(i: int, j: int, on: int, around: Around) -> tuple[float, float, float, float]:
-    """Log survival of BLE 4's PDU, pointer, auxiliary packet and beacon from j at i; of the beacon only what
-    concerns Wi-Fi, without listening."""
+    """Log survival of the BLE 4 PDU, pointer, auxiliary packet and beacon from j at i. For the beacon, only
+    collisions with other Wi-Fi, without carrier sense."""
     total, own, hearing = around.total[i], around.adds[j], around.hearing[i]
     on4, on5, on_wifi = float(on & 1), float((on >> 1) & 1), float((on >> 2) & 1)
     ble4 = total[BLE4_BY_BLE4] - on4 * own[BLE4_BY_BLE4] + total[BLE4_BY_BLE5] - on5 * own[BLE4_BY_BLE5]
@@ -370,7 +372,7 @@ def _logs(i: int, j: int, on: int, around: Around) -> tuple[float, float, float,
 
 @_compiled
 def _place(log: float, nodes: int) -> tuple[int, float]:
-    """Node of a table below a log survival, and the share of the way to the next one."""
+    """Table node below a log survival, and the fraction of the way to the next node."""
     at = (log - _LOWEST) * ((nodes - 1) / -_LOWEST)
     node = min(max(math.floor(at), 0), nodes - 2)
     return node, at - node
@@ -393,7 +395,8 @@ def _on_grid(table: Floats, first: float, second: float) -> float:
 
 @_compiled
 def _on_loads(table: Floats, log: float, at: float) -> float:
-    """At a survival and a place among the loads; a load beyond the highest one counts as that."""
+    """Interpolate a table at a log survival and a load index; a load beyond the highest node is clamped to
+    it."""
     node = min(math.floor(at), table.shape[1] - 2)
     share = min(at - node, 1.0)
     low, part = _place(log, table.shape[0])

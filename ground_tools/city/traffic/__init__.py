@@ -1,1 +1,1 @@
-"""What is flown over a city: demand that is drawn, and flights of others."""
+"""The flights over a city: demand drawn from a seed, and flights from files of other projects."""

@@ -1,8 +1,8 @@
 """Demand: who flies where and when over a city, drawn from a seed.
 
-Every flight begins and ends `PAD_M` above the ground, where the law takes over and hands back. It climbs
-straight up to its height, flies straight, and descends straight down. What begins before the run is cut at
-its beginning, so that the density is that of the whole run from the start.
+Every flight begins and ends `PAD_M` above the ground, where the law takes over and hands back control. It
+climbs straight up to its height, flies straight, and descends straight down. Flights that begin before the
+run are cut at its beginning, so that the density is constant from the start.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PAD_M: Final = 30.0
 LOWEST_M, HIGHEST_M = 60.0, 120.0
 """Lowest and highest height of flight above the ground."""
 LAYERS: Final = 4
-"""Layers are flown by direction, a quarter of the compass each, 20 m apart."""
+"""Number of layers, 20 m apart. Each layer serves the directions of a quarter of the compass."""
 CRUISE: Final = (0.6, 0.75)
 """Planned speed as a share of the greatest speed."""
 CLIMB_MPS: Final = 1.5
@@ -32,15 +32,15 @@ _TRIP_M: Final = (500.0, 5000.0)
 """Shortest and longest trip."""
 _KM2_A_HUB: Final = 4.0
 _CORRIDOR_M: Final = 2000.0
-"""Distance of parallel corridors."""
+"""Distance between parallel corridors."""
 _LANE_M: Final = 30.0
-"""An aircraft in a corridor flies this far to the right of its middle."""
+"""An aircraft in a corridor flies this far to the right of the corridor's middle."""
 _HOVER_S: Final = (20.0, 60.0)
 _EVENT_RADIUS_M: Final = 300.0
 _EVENT_SHARE: Final = 0.5
 """Share of the flights that go to the event."""
 _TRIALS: Final = 400
-"""Flights from which the mean time in the air is taken."""
+"""Number of drawn flights from which the mean time in the air is estimated."""
 
 
 class Demand(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -113,7 +113,7 @@ class _Draw:
                 return goal
 
     def _straight(self, corners: AnyFloats) -> tuple[Floats, Floats]:
-        """Up, along the corners, down."""
+        """A timed path: up, along straight legs between the corners, and down."""
         height = self._height(corners[0], corners[-1])
         return _path([(*c, height, 0.0) for c in corners.tolist()], self._speed())
 
@@ -130,7 +130,7 @@ class _Draw:
         first, second = self.rng.choice(len(self.hubs), 2, replace=False)
         start, goal = self.hubs[first] + self.rng.uniform(-60, 60, 2), self.hubs[second]
         goal = goal + self.rng.uniform(-60, 60, 2)
-        # Along north on the corridor nearest to the start, then along east on that nearest to the goal.
+        # North along the corridor nearest to the start, then east along the corridor nearest to the goal.
         way_n, way_e = math.copysign(1.0, goal[0] - start[0]), math.copysign(1.0, goal[1] - start[1])
         lane_e = round(start[1] / _CORRIDOR_M) * _CORRIDOR_M + way_n * _LANE_M
         lane_n = round(goal[0] / _CORRIDOR_M) * _CORRIDOR_M - way_e * _LANE_M
@@ -179,7 +179,8 @@ def _path(stops: list[tuple[float, float, float, float]], speed_mps: float) -> t
 
 
 def draw(demand: Demand, duration_s: float, seed: int) -> list[Wish]:
-    """The flights of a run, those under way at its beginning included. The same arguments give the same."""
+    """The flights of a run, including those already in the air at its beginning. The same arguments give the
+    same flights."""
     rng = np.random.default_rng([21, seed])
     drawing = _Draw(demand, rng)
     trials = np.array([drawing.draw()[0][-1] for _ in range(_TRIALS)])
@@ -199,7 +200,7 @@ def draw(demand: Demand, duration_s: float, seed: int) -> list[Wish]:
 
 
 def _from(times: Floats, points: Floats, at_s: float) -> tuple[Floats, Floats]:
-    """What is left of a path after a time."""
+    """The part of a path after a time."""
     first = np.array([[np.interp(at_s, times, column) for column in points.T]])
     left = times > at_s + 1e-6
     return np.concatenate([[0.0], times[left] - at_s]), np.concatenate([first, points[left]])

@@ -1,7 +1,7 @@
-"""Flights of others as demand: flight intentions of Metropolis 2 (`.csv`) and scenarios of BlueSky (`.scn`).
+"""Demand from files: flight intentions of Metropolis 2 (`.csv`) and scenarios of BlueSky (`.scn`).
 
-The files are read by `ground_tools.campaign.scenarios`. Here all flights of a stretch of time are flown, in
-their own scale. Intentions say nothing of heights, and so these are drawn as `demand` does.
+The files are read by `ground_tools.campaign.scenarios`. All flights of a period are flown, without scaling.
+Flight intentions contain no heights, so heights are drawn as in `demand`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _LEAST_MPS = 5.0
 
 
 def read(path: Path, from_s: float, duration_s: float, seed: int) -> list[Wish]:
-    """The flights of a file that depart within a stretch of time.
+    """The flights of a file that depart within a period.
 
     Args:
         from_s: time in the file at which the run begins.
@@ -49,7 +49,8 @@ def read(path: Path, from_s: float, duration_s: float, seed: int) -> list[Wish]:
 
 
 def _wish(plan: bluesky.Plan, height_m: float | None, from_s: float) -> Wish:
-    """A plan as a flight. One without heights climbs straight up at its beginning, and down at its end."""
+    """A plan as a flight. A plan without heights climbs straight up at its beginning, and descends straight
+    down at its end."""
     rows: AnyFloats = np.array(plan.corners)
     times, points = rows[:, 0] - rows[0, 0], rows[:, 1:] * [1.0, 1.0, -1.0]
     if height_m is not None:

@@ -169,7 +169,7 @@ def gather(record: AircraftRecord) -> dict[str, Any]:
     """
     config = None if record.header is None else record.header.config
     found = _Gatherer(config, record.facts.utc_offset_s)
-    # A log may be gigabytes long and provides only what was heard, so skip one without any.
+    # A log may be gigabytes long and contains only received messages, so skip it if there are none.
     nothing = record.log and not record.facts.heard
     for step in () if nothing else record.steps():
         for event in step.events:

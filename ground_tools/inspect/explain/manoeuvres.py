@@ -34,14 +34,15 @@ from ground_tools.inspect.explain.why import Alternative, Explainer, HalfSpace, 
 from ground_tools.inspect.read.read_run import AircraftRecord
 
 LEFT_MPS = 0.3
-"""The chosen velocity counts as different from the wanted one if they are farther apart than this."""
+"""If the chosen and the wanted velocity differ by more than this, they count as different."""
 GAP_S = 5.0
 """Longest gap within one manoeuvre."""
 _FENCE = frozenset({"fence", "outside the fence"})
 _HOLDING = frozenset(state.value for state in HOLDING)
 _LEAST_TURN_DEG, _LEAST_CHANGE_MPS, _LEAST_LEVEL_MPS = 3.0, 0.2, 0.3
 _TOO_FAST_MPS = 1.0
-"""If a guarded vehicle was faster than the wanted speed by this or more at the start, the text says so."""
+"""If a guarded vehicle was faster than the wanted speed by this or more at the start, the text mentions
+it."""
 _MOST_NAMED = 3
 
 
@@ -54,10 +55,11 @@ class Manoeuvre:
     guarded: bool
     """True if a guarded vehicle was taken out of its mission; False if the law was flying already."""
     tracks: tuple[str, ...]
-    """Tracks that were in conflict or had an active half-space at any time, in order of their first one."""
+    """Tracks that were in conflict or had an active half-space at any time, by the time of the first
+    occurrence."""
     track: str | None
-    """The track in conflict at the start that would have come nearest. Without a conflict, the same among the
-    tracks with an active half-space. None if there is neither, as for a fence."""
+    """Of the tracks in conflict at the start, the one that would have come nearest. Without a conflict, the
+    nearest one of the tracks with an active half-space. None if there is neither, as for a fence."""
     time_to_closest_s: float | None
     """Time to the closest approach to `track`, at the start and at the wanted velocity."""
     closest_m: float | None
@@ -78,8 +80,8 @@ class Manoeuvre:
     nearest_s: float | None
     """Time of `nearest_m`."""
     decision: Decision
-    """The decision at the start. If that of a guarded vehicle has no conflict, it is the last decision made
-    while watching, provided that this one had a conflict."""
+    """The decision at the start. For a guarded vehicle whose decision at the start has no conflict: the last
+    decision before the take-over, if that one had a conflict."""
     half_spaces: tuple[HalfSpace, ...]
     """Half-spaces of the velocity space at the start, NED (m/s)."""
     alternatives: tuple[Alternative, ...]
@@ -93,7 +95,7 @@ class Manoeuvre:
     came: str
     """Outcome, as text."""
     instead: tuple[str, ...]
-    """The alternatives at the start, each with its outcome, as text. They are not judged again if the law
+    """The alternatives at the start, each with its outcome, as text. They are not evaluated again if the law
     changes its choice during the manoeuvre."""
 
     @property

@@ -1,4 +1,5 @@
-"""Which other aircraft one aircraft heard, by what, when, and how near they came by their own reports."""
+"""Other aircraft that one aircraft received: by which means, when, and how near they came by their own
+reports."""
 
 from __future__ import annotations
 
@@ -17,8 +18,8 @@ def heard(record: AircraftRecord, of_the_run: Container[str], offset_s: float) -
     """Return a row for each aircraft that was heard, ready for JSON, the nearest first.
 
     Args:
-        record: who heard.
-        of_the_run: identities of the aircraft that the run has records of; their rows say so.
+        record: the aircraft that received them.
+        of_the_run: identities of the aircraft that have records in this run; their rows are marked.
         offset_s: added to times.
     """
     rows = [*_by_remote_id(record), *_by_adsb(record)]

@@ -8,12 +8,12 @@ follows:
 - Our share of the avoidance is 1 for crewed traffic and one half for all others. (In flight it is also 1 for
   traffic that cannot manoeuvre.)
 - Accuracies are such that the radius is the logged one.
-- Crewed traffic has no half-space: the law weighs risks (`companion.avoidance.kernels.crewed`). Its turn is
-  left out.
+- Crewed traffic has no half-space: the law weighs risks (`companion.avoidance.kernels.crewed`). The law's
+  turn away from crewed traffic is left out.
 - The second half-space of a track that fell silent (for the place where it would stand) is left out.
 - If no floor is configured, it is 15 m above home, or the height flown if that is less.
 
-If none of these differs, the half-spaces equal those of the flight to within rounding, given the own
+If all assumptions hold, the half-spaces equal those of the flight to within rounding, given the own
 velocities from the record (`Explainer.note`). A test compares them with those of the companion's core.
 
 Which of the half-spaces bound the velocity is taken from the log (`TrackView.active`, `Decision.limits`), not
@@ -130,7 +130,7 @@ class Explainer:
     def configure(
         self, config: Config, vehicle: VehicleParameters | None, areas: Sequence[FenceArea]
     ) -> None:
-        """Set what applies from now on.
+        """Set the configuration that applies from now on.
 
         Args:
             config: Configuration of the companion.
@@ -245,7 +245,7 @@ class Explainer:
         narrow = min(track.radius_m, scale * height)
         n, e, d = (p - age * v for p, v in zip(track.position_ned_m, track.velocity_ned_mps, strict=True))
         sigma = max(narrow - separation - QUANTUM_MPS * age, LEAST_MARGIN_M) / SIGMAS
-        # A margin below that of the own error alone shows that this plays no part.
+        # A margin below that of the own error alone shows that the own error is not part of it.
         relative = sigma < own_sigma_m
         wider, taller = track.radius_m - narrow, scale * height - narrow
         ahead = age + GROWTH_AHEAD_S
@@ -311,7 +311,7 @@ class Explainer:
         yielding = {track.track_id for track in decision.tracks if track.yields}
         if len(yielding) == len(decision.tracks):
             yielding = set()
-        # Beside others, an aircraft that yields excludes nothing.
+        # An aircraft that yields excludes nothing if there are other half-spaces.
         short = [
             (space.cause, space.short_mps(velocity))
             for space in spaces

@@ -114,4 +114,4 @@ SEPARATION: Final = _object(
     distance_m=_NUMBER,
     required_m=_NUMBER,
 )
-"""A schema of our own, whose numbers Foxglove's plots show."""
+"""A schema defined here. Foxglove's plots can show its numbers."""

@@ -85,7 +85,7 @@ def _fix(fix: topics.Fix) -> Iterator[Message]:
             "frame_id": fix.frame,
             "latitude": fix.lat_deg,
             "longitude": fix.lon_deg,
-            # An altitude that is not known cannot be left out, and JSON has no NaN.
+            # An unknown altitude cannot be left out, and JSON has no NaN.
             "altitude": 0.0 if math.isnan(fix.alt_m) else fix.alt_m,
             "position_covariance": [0.0] * 9,
             "position_covariance_type": 0,

@@ -21,9 +21,9 @@ from ground_tools.inspect.read.read_run import Run
 _VERSION: Final = 8
 """Version of the bag's format: that of Humble."""
 _LEVELS = {"INFO": 20, "WARN": 30, "ERROR": 40, "CRITICAL": 50}
-"""rcl_interfaces/msg/Log."""
+"""Levels of rcl_interfaces/msg/Log."""
 _FIX, _NO_FIX = 0, -1
-"""sensor_msgs/msg/NavSatStatus."""
+"""Values of `status` in sensor_msgs/msg/NavSatStatus."""
 Message = tuple[str, str, float, Any]
 """Topic, type, time on the run's time line (s), message."""
 
@@ -40,7 +40,7 @@ def write(run: Run, ways: Flown, pairs: list[Separation], path: Path) -> int:
     except ImportError as error:
         raise ConfigError(how_to_install("rosbags", "inspect")) from error
     if path.exists():
-        raise ConfigError(f"{path}: it exists already; a ROS bag is a folder that is made anew")
+        raise ConfigError(f"{path}: it exists already; give the path of a new folder")
     store = get_typestore(Stores.ROS2_HUMBLE)
     zero_ns, count = topics.zero_ns(run, ways), 0
     try:

@@ -1,8 +1,8 @@
 """A run as messages with times and topics, for robotics tools: the content of MCAP files and ROS bags.
 
 Positions are given twice: on Earth, and in a local frame with x to the east, y to the north and z up, whose
-origin is that of the run. Heights on Earth are above the WGS84 ellipsoid if the aircraft's GNSS receiver told
-how far that is from mean sea level, otherwise above mean sea level. The orientation is the course over
+origin is that of the run. Heights on Earth are above the WGS84 ellipsoid if the aircraft's GNSS receiver
+reported its distance from mean sea level, otherwise above mean sea level. The orientation is the course over
 ground, because a record has no attitude.
 """
 
@@ -27,7 +27,7 @@ from ground_tools.inspect.viewer.step_columns import StepColumns
 MAP = "map"
 """Name of the local frame."""
 SLOWEST_MPS = 0.5
-"""Below this speed the course over ground means nothing; the last one is kept."""
+"""Speed below which the course over ground is meaningless; the last course is kept."""
 SEPARATION_PERIOD_S = 0.2
 """Least time between two separations of a pair."""
 MOST_POINTS = 2000
@@ -58,13 +58,13 @@ class Fix:
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """A text about an event."""
+    """A message text about an event."""
 
     time_s: float
     level: str
     """INFO, WARN, ERROR or CRITICAL."""
     name: str
-    """The aircraft."""
+    """Name of the aircraft."""
     text: str
 
 
@@ -135,7 +135,7 @@ def fixes(run: Run, ways: Flown, topics: Topics) -> Iterator[Fix]:
 
 
 def words(run: Run, ways: Flown) -> Iterator[Words]:
-    """Yield what happened in words: modes, arming, authority, alerts, texts, faults; aircraft by aircraft."""
+    """Yield events as texts: modes, arming, authority, alerts, texts, faults; aircraft by aircraft."""
     for record in run.aircraft:
         config = record.header.config if record.header else None
         offset_s = ways.offsets_s[record.name]
@@ -149,7 +149,7 @@ def words(run: Run, ways: Flown) -> Iterator[Words]:
             for note in found.notes:
                 yield Words(note.time_s, note.level, record.name, note.text)
             for lane, states in found.states.items():
-                # Every change is among the notes, but not what was at first.
+                # The notes contain every change, but not the initial state.
                 if lane not in told and states[0][1]:
                     yield Words(states[0][0], "INFO", record.name, f"{lane}: {states[0][1]}")
                 told.add(lane)

@@ -1,4 +1,4 @@
-"""Under which conditions an aircraft flew: how good its GNSS was, and the wind that it estimated."""
+"""Conditions of a flight: the quality of the GNSS, and the wind that the autopilot estimated."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from companion.events import GnssFix
 FIX_3D = 3
 """GPS_FIX_TYPE from which on a position is three-dimensional."""
 MAX_GAP_S = 5.0
-"""A longer silence of the receiver says nothing about its fix."""
+"""Longest gap between two reports over which the fix is assumed to be unchanged."""
 
 
 @dataclass(slots=True)
@@ -27,7 +27,7 @@ class GnssQuality:
     best_fix: int = 0
     """Largest GPS_FIX_TYPE."""
     least_satellites: int | None = None
-    """Fewest satellites with a three-dimensional fix; None if it was never reported."""
+    """Fewest satellites with a three-dimensional fix; None if the number was never reported."""
     worst_accuracy_m: float | None = None
     """Largest horizontal accuracy that the receiver stated with a three-dimensional fix; None if never."""
     _last_s: float = math.nan
@@ -71,7 +71,7 @@ def wind_figures(rows: Floats) -> dict[str, Any] | None:
     north, east = (float(value) for value in rows[:, 1:].mean(axis=0))
     return {
         "mean_mps": math.hypot(north, east),
-        # Wind is named after where it comes from.
+        # The direction of wind is the one from which it blows.
         "from_deg": math.degrees(math.atan2(-east, -north)) % 360.0,
         "max_mps": float(np.hypot(rows[:, 1], rows[:, 2]).max()),
     }

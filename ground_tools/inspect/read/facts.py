@@ -142,7 +142,8 @@ class Facts:
     """Own positions, (n, 8): now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s), height above home
     (m), with strictly rising now_s. A long table lies in a temporary file (`spill`)."""
     decided: Floats
-    """As `fixes`, but taken from the decisions, without a height above home. Empty if there are any fixes."""
+    """Positions as in `fixes`, but from the decisions, without a height above home. Empty if there are any
+    fixes."""
     decisions: Decisions
     utc_offset_s: float | None
     """Offset from `now_s` to UTC; None if the aircraft never knew UTC."""
@@ -275,7 +276,7 @@ class Gatherer:
         return self.undulation[-1] if self.undulation else None
 
     def _approach(self, now_s: float, message: Location, near: Approaches) -> None:
-        """Add where a reported position is from the own one; it is extrapolated to now."""
+        """Add a reported position, extrapolated to now, relative to the own one."""
         here = self._own(now_s)
         if here is None:
             return

@@ -1,7 +1,7 @@
-"""What went wrong on one aircraft, and what only sounds like it.
+"""Faults of one aircraft, separated from ordinary events that look like faults.
 
-Ordinary things are told apart from faults: the start-up messages that old firmware sends with the highest
-severities, and a pilot who takes over while nothing is being avoided.
+Ordinary events are the start-up messages that old firmware sends with the highest severities, and a pilot who
+takes over while nothing is being avoided.
 """
 
 from __future__ import annotations
@@ -30,23 +30,25 @@ from ground_tools.inspect.read.read_run import AircraftRecord
 _ENDED: Final = frozenset({State.FAULT.value, State.YIELDED.value})
 _REBOOT: Final = "its clock started again from 0, so it restarted"
 _CLEARED: Final = "no longer: "
-"""How the text of a flag begins that is withdrawn."""
+"""Beginning of the text that withdraws a flag."""
 _START_UP: Final = re.compile(
     r"(initiali[sz]ing apm|ground start|(calibrating|beginning) (barometer|ins|gyro)"
     r"|(barometer|ins|gyro)( \d)? calibration complete|ready to (fly|drive)|apm:"
     r"|ardu(copter|plane|rover|sub|pilot) v|px4(v\d)?: |nuttx: |chibios: |frame: )",
     re.IGNORECASE,
 )
-"""What firmware says when it starts, whatever the severity. Releases of ArduPilot from before 2015 used
-another scale, on which such messages have the number of today's ALERT."""
+"""Start-up messages of firmware, with any severity. ArduPilot releases before 2015 used another scale, on
+which such messages have the number of today's ALERT."""
 _STATES_SAID: Final = re.compile(r"DMUCA (" + "|".join(state.value for state in State) + "): ")
-"""The companion says each change of authority, which is a row of its own."""
-_MEANING: Final = {Flag.REMOTE_ID_FAILURE.value: "; a companion says so while it has no position to send"}
-"""What may be behind a flag, in words that follow its text."""
+"""Texts with which the companion reports changes of authority. These changes have separate rows."""
+_MEANING: Final = {
+    Flag.REMOTE_ID_FAILURE.value: "; a companion reports this while it has no position to send"
+}
+"""Possible cause of a flag, appended to its text."""
 
 
 def faults(record: AircraftRecord, offset_s: float) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return what went wrong, and what was ordinary, both in order of time and ready for JSON.
+    """Return the faults and the ordinary events, each in order of time and ready for JSON.
 
     Args:
         record: the aircraft.

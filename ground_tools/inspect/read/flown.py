@@ -36,7 +36,7 @@ PART_S = 600.0
 MAX_GAP_S = 2.0
 """If two own positions are farther apart in time than this, the position in between is unknown."""
 _SPARSE = 3.0
-"""Where samples are rare, only a silence of this many of their usual distances is a gap."""
+"""If samples are rare, only a silence of this many times their usual interval is a gap."""
 MAX_ERROR_M = 200.0
 """True positions farther than this from the aircraft's own positions belong to another frame or flight."""
 SAME_M = 2.0
@@ -342,8 +342,8 @@ def _separation(first: Path, second: Path, line: Line | None) -> Separation:
 def _relative(first: Path, second: Path) -> Iterator[tuple[Floats, Floats]]:
     """Yield (n,) times and the (n, 3) position of the first relative to the second.
 
-    The time in which both were recorded is covered part by part. The position is NaN if either is unknown or
-    on the ground.
+    The time in which both were recorded is covered in parts. The position is NaN if either aircraft's
+    position is unknown or either is on the ground.
     """
     start = max(first.time_s[0], second.time_s[0])
     end = min(first.time_s[-1], second.time_s[-1])

@@ -8,15 +8,15 @@ from companion.arrays import Bools, Floats
 from ground_tools.inspect.read.spill import BLOCK
 
 SPIKE_M = 30.0
-"""A height farther than this from the median of its neighbours is no height of the flight."""
+"""A height farther than this from the median of its neighbours counts as an error."""
 _SIDE = 4
-"""Neighbours on each side that are looked at. Steady climbs and descents pass, however fast."""
+"""Number of neighbours on each side that are compared. Steady climbs and descents pass, however fast."""
 _NEAR_S = 5.0
-"""Neighbours farther away in time say nothing about a sample."""
+"""Neighbours farther away in time are ignored."""
 
 
 def spikes(time_s: Floats, height_m: Floats) -> Bools:
-    """Which samples stand out from those around them, (n,): single bad altitudes, up to four in a row.
+    """Mark samples that stand out from their neighbours, (n,): single bad altitudes, up to four in a row.
 
     Args:
         time_s: (n,) rising times.

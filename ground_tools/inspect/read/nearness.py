@@ -1,4 +1,4 @@
-"""How near other aircraft came to one aircraft, by the positions that they reported.
+"""How near other aircraft came to one aircraft, according to the positions that they reported.
 
 Rows hold one approach a second, so that a day with busy traffic stays small.
 """
@@ -19,7 +19,7 @@ ADSB_STAMP_S = 0.5
 """Mean error of the age of an ADS-B report, which is whole seconds, rounded down."""
 _COLUMNS = 4
 _MOST = 2000
-"""Most ADS-B addresses kept of one record; a log that names more of them is damaged or hostile."""
+"""Most ADS-B addresses kept for one record; a log with more of them is damaged or hostile."""
 
 
 @dataclass(slots=True)
@@ -34,7 +34,7 @@ class Approaches:
         Args:
             now_s: time, not before the last one.
             away_ned_m: other minus own.
-            vertical_known: whether the third component means anything.
+            vertical_known: whether the third component is valid.
         """
         aside = math.hypot(away_ned_m[0], away_ned_m[1])
         above = -away_ned_m[2] if vertical_known else math.nan
@@ -47,7 +47,7 @@ class Approaches:
     def rows(self) -> Floats:
         """(n, 4) now_s, slant distance (m), distance to the side (m), height above us (m).
 
-        The height is NaN where it is unknown; the slant distance is then that to the side.
+        The height is NaN if it is unknown; the slant distance is then the distance to the side.
         """
         return np.asarray(self.values).reshape(-1, _COLUMNS)
 
@@ -61,8 +61,8 @@ class HeardAdsb:
     first_s: float
     last_s: float
     barometric: bool
-    """True if any of its altitudes was barometric: it is then compared with our height above mean sea level,
-    which it may miss by a hundred metres or more."""
+    """True if any of its altitudes was barometric. These are compared with our height above mean sea level,
+    from which they may differ by a hundred metres or more."""
     near: Floats
     """As `Approaches.rows`."""
 
@@ -113,7 +113,7 @@ class AdsbTally:
             one.near.add(now_s, away_m, vertical_known=alt_m is not None)
 
     def heard(self) -> dict[str, HeardAdsb]:
-        """What was heard, by the ICAO address in hexadecimal digits."""
+        """The received aircraft, by the ICAO address in hexadecimal digits."""
         return {
             f"{icao:06X}": HeardAdsb(
                 one.callsign, one.reports, one.first_s, one.last_s, one.barometric, one.near.rows()
@@ -123,7 +123,7 @@ class AdsbTally:
 
 
 def _away(event: AdsbVehicle, alt_msl_m: float, own: tuple[float, float, float]) -> Vec3:
-    """Position of the other relative to our own, carried forward over the age of the report."""
+    """Position of the other aircraft relative to our own, extrapolated over the age of the report."""
     north, east, down = LocalFrame(*own).to_ned(event.lat_deg, event.lon_deg, alt_msl_m)
     age_s = event.age_s + ADSB_STAMP_S
     v = event.velocity_ned_mps or (0.0, 0.0, 0.0)

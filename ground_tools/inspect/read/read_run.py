@@ -42,9 +42,9 @@ _ALLOWED = "a run folder, an event record (.events), a log (.tlog, ArduPilot's .
 _OTHER_KIND = re.compile("not a telemetry log|no DataFlash log|no ULog file")
 _RECORDS = (".events", ".tlog", *read_onboard.SUFFIXES)
 _MOST_NAMED = 5
-"""Most runs that are named for a folder that holds them."""
+"""Most runs that an error message lists for a folder that contains runs."""
 TELLING_S = 0.05
-"""If the log's clock differs from the vehicle's UTC by more than this, a note says so."""
+"""If the log's clock differs from the vehicle's UTC by more than this, a note reports it."""
 STAMPED = "no vehicle sent UTC (SYSTEM_TIME); times are the log's own time stamps, by the clock of its writer"
 NOT_REGULAR = "this is not a regular file but a folder, a FIFO or a device"
 
@@ -164,7 +164,7 @@ def read_run(path: Path) -> Run:
 
 
 def _other_runs(folder: Path) -> str:
-    """What a folder holds that has no record itself: perhaps runs, of which the newest are named."""
+    """Error text for a folder without a record. If it contains runs, the text lists the newest."""
     nothing = "the folder has no event record (*.events) and no log (*.tlog, *.bin, *.ulg)"
     inside = {path.parent for path in folder.glob("*/*") if path.suffix.lower() in _RECORDS}
     if not inside:
@@ -172,8 +172,8 @@ def _other_runs(folder: Path) -> str:
     newest = sorted(inside, key=lambda path: path.name, reverse=True)
     named = ", ".join(str(path) for path in newest[:_MOST_NAMED])
     if len(inside) == 1:
-        return f"{nothing}, but one run; name it: {named}"
-    return f"{nothing}, but {len(inside)} runs; name one of them; the newest: {named}"
+        return f"{nothing}, but it contains a run; give its path: {named}"
+    return f"{nothing}, but it contains {len(inside)} runs; give the path of one; the newest: {named}"
 
 
 def _file(path: Path) -> Run:
@@ -327,14 +327,15 @@ def _logged(
 
 
 def _onboard_logs(folder: Path, problems: list[str], notes: list[str]) -> list[AircraftRecord]:
-    """The onboard logs in a folder. Without UTC the time of one among several is not known."""
+    """The aircraft of the onboard logs in a folder. Of several logs, those without UTC are left out, because
+    they cannot be aligned."""
     found: list[AircraftRecord] = []
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() not in read_onboard.SUFFIXES or not path.is_file():
             continue
         with path.open("rb") as stream:
             reader = read_onboard.reader_of(stream.read(8))
-        if reader is not None:  # other files, too, have names that end in .bin
+        if reader is not None:  # names of other files may also end in .bin
             found += _onboard(path, reader, problems, notes)
     if len(found) > 1:
         problems += [
@@ -349,7 +350,7 @@ def _onboard_logs(folder: Path, problems: list[str], notes: list[str]) -> list[A
 def _onboard(
     path: Path, reader: read_onboard.ReadSteps, problems: list[str], notes: list[str]
 ) -> list[AircraftRecord]:
-    """The aircraft of an onboard log, in a list; an empty one if it cannot be read."""
+    """The aircraft of an onboard log, in a list; an empty list if the log cannot be read."""
     try:
         log = read_onboard.read(path, reader)
     except PeerDataError as error:
@@ -363,7 +364,7 @@ def _onboard(
     problems += log.about.damage(path.name)
     if not log.facts.steps:
         return []
-    # Autopilots number their logs or name them after the time.
+    # Autopilots name their logs by number or time. The system id is a better name for the aircraft.
     name = path.stem if re.search("[A-Za-z]", path.stem) else f"system {log.about.system_id}"
     notes.append(f"{name}: {path.name}: {log.words}")
     notes.append(f"{name}: the log does not contain {', '.join(log.about.missing())}")

@@ -55,7 +55,8 @@ _HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 _TEXT = mavlink.MAVLINK_MSG_ID_STATUSTEXT
 _RADIO = mavlink.MAVLINK_MSG_ID_RADIO_STATUS
 _SETPOINTS = {
-    # MAV_FRAMEs with a velocity in north, east, down. In the others the velocity turns with the nose.
+    # MAV_FRAMEs whose velocity is in north, east, down. In the others it is relative to the vehicle's
+    # heading.
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: (
         FRAME_LOCAL_NED,
         mavlink.MAV_FRAME_LOCAL_OFFSET_NED,
@@ -74,7 +75,7 @@ _VELOCITY_IGNORED = (
 _WANTED = frozenset({_HEARTBEAT, _TEXT, *READERS, *_SETPOINTS, *remote_id.MESSAGE_IDS})
 _FIX_3D = mavlink.GPS_FIX_TYPE_3D_FIX
 _STATION_FROM_ID = 240
-"""System ids from here on are ground stations: QGroundControl and Mission Planner use 255."""
+"""Least system id of a ground station: QGroundControl and Mission Planner use 255."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""The first lines about a run: what happened, who came near and how near, who gave way, what was broken."""
+"""The first lines about a run: separations, nearest aircraft, manoeuvres, Remote ID and faults."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from companion.events.sensed import is_sensed
 from ground_tools.inspect.read.timeline import utc_words
 
 _NAMED: Final = 3
-"""Most kinds of faults, and most aircraft that gave way, that a line names."""
+"""Most names that a line lists, of kinds of faults or of aircraft that gave way."""
 
 
 def head(figures: dict[str, Any]) -> str:
@@ -43,7 +43,7 @@ def is_bad(words: str) -> bool:
 
 
 def _on_separation(figures: dict[str, Any]) -> list[str]:
-    """Separation of the aircraft that were recorded; nothing if there is only one."""
+    """Lines about the separation of the recorded aircraft; none if there is only one."""
     known = [row for row in figures["separations"] if row["minimum_m"] is not None]
     if not known:
         alone = len(figures["aircraft"]) < 2
@@ -58,7 +58,8 @@ def _on_separation(figures: dict[str, Any]) -> list[str]:
 
 
 def _on_traffic(figures: dict[str, Any]) -> str:
-    """The nearest aircraft that has no record here: how near, when, heard by what."""
+    """Line about the nearest aircraft without a record in this run: how near, when, and how it was
+    received."""
     aircraft = figures["aircraft"]
     others = [(one["name"], row) for one in aircraft for row in one["traffic"] if not row["of_the_run"]]
     count = len({row["identity"] for _, row in others})
@@ -80,7 +81,7 @@ def _on_traffic(figures: dict[str, Any]) -> str:
 
 
 def _on_sensed(figures: dict[str, Any]) -> list[str]:
-    """The nearest thing that a sensor aboard saw and that was in conflict; nothing if there was none."""
+    """Line about the nearest thing in conflict that an onboard sensor saw; none if there was none."""
     seen = [row for row in figures["conflicts"] if is_sensed(row["pair"][1])]
     if not seen:
         return []
@@ -95,7 +96,7 @@ def _in_all(count: int) -> str:
 
 
 def _approach(name: str, row: dict[str, Any]) -> str:
-    """How near a heard aircraft came, in words."""
+    """Text on how near a received aircraft came."""
     nearest = row["nearest"]
     callsign = f" ({row['callsign']})" if row["callsign"] else ""
     height = ", at an unknown height,"
@@ -145,7 +146,8 @@ def _on_faults(aircraft: Sequence[dict[str, Any]]) -> str:
 
 
 def _fault(row: dict[str, Any]) -> str:
-    """A fault in the words of the first lines; of a doubt what it means, not the name of its flag."""
+    """Text of a fault for the first lines. A doubt about a track is described by its meaning, not by the name
+    of its flag."""
     if row["what"] in ("vehicle", "companion"):
         return f"{row['what']}: {row['text']}"
     if row["what"].startswith("track "):

@@ -1,4 +1,4 @@
-"""The lanes of a run over time: who flew, in which mode, what happened, and the highest alert."""
+"""The lanes of a run over time: authority, mode, events, and the highest alert."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ _MODES = (
     *("#bcd7ee", "#f0d9b8", "#cfe8c9", "#d8c9e8", "#f4c7c3", "#c9e6e6", "#e6dfa6", "#c4c9f2", "#f2c4e4"),
     *("#b9d8b0", "#dcbfa8", "#a9c6d9", "#c2a8d8", "#d9d2b0", "#a8d9cb", "#e8b27f", "#9fb3c8", "#d6a8b6"),
 )
-"""Colours of modes, in the order in which they are first flown. A mode beyond them has the colour of an
-earlier one, with bars across; its name stands in the lane."""
+"""Colours of modes, in the order in which they are first flown. Further modes reuse these colours with
+hatching; their names are written in the lane."""
 _LEAST_NAMED = 0.06
-"""The name of a span stands in it if it takes at least this share of the time."""
+"""The name of a span is written in it if the span takes at least this share of the time."""
 
 
 def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:

@@ -249,7 +249,7 @@ def _table(rows: Rows) -> str:
 
 
 def _scrolled(wide: str) -> str:
-    """A box that scrolls where it is narrower than what it holds; with a tabindex by the keyboard, too."""
+    """A box that scrolls if its content is wider. Its tabindex allows scrolling by keyboard."""
     return f'<div class="wide" tabindex="0">{wide}</div>'
 
 

@@ -48,9 +48,9 @@ DARK = {
     "#0072b2": "#2b8fd6",
     "#b00020": "#ff6b62",
 }
-"""What a page with dark paper draws instead of a colour. The other colours are read on both papers."""
+"""Replacement colours for a dark page background. The other colours are legible on both backgrounds."""
 INK_ON_TINT = "#1b1b1b"
-"""Colour of words within a coloured span, on both papers."""
+"""Colour of text within a coloured span, on both backgrounds."""
 _DRAWN = re.compile(f"(?<=: )#({'|'.join(name[1:] for name in DARK)})")
 _SVG = {
     "svg.fonttype": "none",
@@ -98,12 +98,12 @@ def thin(time: Floats, *rows: NDArray[Any]) -> tuple[NDArray[Any], ...]:
 
 
 def open_at_gaps(time: Floats, *rows: Floats, extreme: bool = False) -> tuple[Floats, ...]:
-    """Thin a line, and break it with a row of NaN wherever nothing is known for some time.
+    """Thin a line, and break it with a row of NaN at each gap in the data.
 
     Args:
         time: (n,) rising times.
         rows: (n,) values of the line.
-        extreme: of the first of `rows` keep the greatest value of every n samples, so that no peak is lost.
+        extreme: in the first of `rows`, keep the greatest value of every n samples, so that no peak is lost.
 
     Returns:
         The times and the values of the line to draw.
@@ -241,7 +241,7 @@ def heights(run: Run, ways: Flown) -> str | None:
 
 
 def _above_home(fixes: Floats) -> Floats:
-    """Height above home (n,) of fixes; above the first of them if they do not tell."""
+    """Height above home (n,) of fixes; above the first fix if they contain no height above home."""
     if not len(fixes) or not np.isnan(fixes[:, 7]).all():
         return fixes[:, 7]
     return np.asarray(fixes[:, 3] - fixes[0, 3])
@@ -293,7 +293,7 @@ def ages(run: Run, ways: Flown) -> str | None:
             axes.set_title(plain(f"tracks of {name}"), fontsize=_WORDS)
             axes.set(ylabel="age (s)")
             axes.legend(fontsize=6.5, ncols=6, frameon=False, loc="upper left")
-        # Only now: the panels share one axis, and a limit that is set holds for what is drawn later, too.
+        # Set the limit last: the panels share one axis, and a limit also applies to data drawn later.
         rows[0].set_ylim(0.0, 1.05 * max(float(facts.age_s.max()) for _, _, facts in shown))
         rows[-1].set_xlabel("time (s)")
 
@@ -355,7 +355,7 @@ def velocities(one: Manoeuvre, speed_mps: float) -> str | None:
             axes.annotate(str(number), (e, n), (3, 3), textcoords="offset points", fontsize=7)
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
         axes.set(xlabel="east (m/s)", ylabel="north (m/s)")
-        # A legend of the figure: the layout keeps room for it, and cuts neither its words nor the labels.
+        # Use a legend of the figure: the layout reserves room for it, so no text or label is cut off.
         figure.legend(loc="outside right upper", fontsize=7.5, frameon=False)
 
     return svg((5.6, 3.6), draw)

@@ -1,4 +1,4 @@
-"""A run in figures.
+"""The figures of a run.
 
 These are the closest approaches and the reaction to them, each flight, manoeuvre and broadcast, faults, and
 damaged or missing data.
@@ -32,7 +32,7 @@ NEAR = 3.0
 """A pair is listed as a conflict if it was in conflict, or came within this many times its limit."""
 _SAME_TIME_S, _FAR_OFF_M = 1.5, 5.0
 _CONFLICT_S = 10.0
-"""A conflict that the law saw longer than this before or after the closest approach is another matter."""
+"""A conflict that the law saw longer than this before or after the closest approach is unrelated to it."""
 _HEARD = "Remote ID, as heard"
 _BEFORE_S = 60.0
 """A manoeuvre that ended longer than this before the closest approach is not related to it."""
@@ -301,7 +301,7 @@ def _state_at(record: AircraftRecord, at_s: float) -> AuthorityChanged | None:
 
 
 def _identity(record: AircraftRecord) -> str:
-    """Return the identity under which others know the aircraft."""
+    """Return the identity that the aircraft broadcasts."""
     return record.name if record.header is None else record.header.config.identity.uas_id
 
 

@@ -25,8 +25,8 @@ _NAME = 24
 _MOST_ROWS = 40
 """Most rows printed of one table. The number of omitted rows is printed, and --json has them all."""
 _THINNED_PERCENT, _THINNED = 20.0, "thinned log?"
-"""What is said of a component that was never silent, but of which so many messages are absent: whoever wrote
-the log left them out."""
+"""Text for a component that was never silent but of whose messages at least this share is missing: the
+program that wrote the log probably left them out."""
 _LONGEST_WORD = 40
 """A column is at least as wide as its longest word of up to this many characters."""
 _SHARES = ("median_s", "p95_s", "worst_s")
@@ -240,7 +240,7 @@ def _link(aircraft: Sequence[dict[str, Any]]) -> Rows:
 
 
 def _traffic(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    """Rows of the aircraft that were heard and are not of the run, the nearest first."""
+    """Rows of the received aircraft that have no record in this run, the nearest first."""
     head = ["other", "by", "from (s)", "to (s)", "reports"]
     head += ["nearest (m)", "at (s)", "beside (m)", "above (m)"]
 
@@ -354,7 +354,7 @@ def _ages(aircraft: Sequence[dict[str, Any]]) -> Rows:
 
 
 def _events(aircraft: Sequence[dict[str, Any]], key: str) -> Rows:
-    """Rows of what happened. What happened several times is one row."""
+    """Rows of events. Repeated events share one row."""
 
     def told(one: dict[str, Any]) -> list[dict[str, Any]]:
         groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
@@ -396,7 +396,7 @@ def show_table(console: Console, title: str, rows: Rows) -> None:
         table.add_column(words, overflow="fold", min_width=least)
     for row in rows[1 : _MOST_ROWS + 1]:
         table.add_row(*(Text(plain(cell)) for cell in row), style="bold red" if alarming(row) else "")
-    # A file or a pipe has no edge: rather a longer line than a word in two parts.
+    # A file or a pipe has no width limit: prefer a longer line to a broken word.
     needed = sum(widths) + 3 * len(widths)
     if not console.is_terminal and needed > console.width:
         console = Console(file=console.file, width=needed, highlight=False, color_system=None)

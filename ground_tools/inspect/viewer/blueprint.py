@@ -27,7 +27,7 @@ PLOT_SHARE, LANE_SHARE = 3, 4
 _EYE = (-0.75, -1.25, 1.5)
 """Eye position relative to the centre of the view, in radii of the view: east, north, up."""
 _LASTING = ("flown", "path")
-"""Entities of an aircraft that are drawn as a whole at any time."""
+"""Entities of an aircraft of which all rows are drawn at any time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ def blueprint(
         scene: The run.
         pairs: Pairs whose separation is shown.
         look: Where the view in space looks; None for rerun's own choice.
-        live: Follow the newest time of a run that goes on.
+        live: Follow the newest time of a run that is still in progress.
         placed: True if the position of any aircraft is known.
     """
     import rerun.blueprint as rrb
@@ -269,7 +269,8 @@ def _events(rrb: Any, scenes: Sequence[Scene], name: str) -> Any:
 
 
 def _axis(rrb: Any, scene: Scene) -> Any:
-    """Return what plots and lanes show first: the encounter, or else the whole run; None for a live run."""
+    """Return the time range that plots and lanes show first: the encounter, or else the whole run; None for a
+    live run."""
     one = scene.encounter
     span = scene.span_s
     if one is not None:

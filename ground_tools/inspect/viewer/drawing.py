@@ -1,4 +1,4 @@
-"""Sends what is drawn to a Rerun recording: in columns, on two time lines, and removed when it is stale.
+"""Sends drawings to a Rerun recording: in columns, on two time lines, and removed when stale.
 
 rerun is imported on use, because its import takes seconds and it is an optional dependency.
 """
@@ -68,7 +68,7 @@ class Drawing:
         return entity in self._known
 
     def settle(self, now_s: float = math.inf) -> None:
-        """Send what is held back, and remove what was drawn last and is stale now.
+        """Send the rows that are held back, and remove last rows that are stale now.
 
         Call it without an argument at the end of a run, to remove everything that was drawn last.
         """
@@ -81,7 +81,7 @@ class Drawing:
     def arrows(
         self, parts: tuple[str, str], time_s: Floats, from_ned_m: Floats, velocity: Floats, rgb: Rgb
     ) -> None:
-        """Draw arrows (n, 3) of velocities, in m/s NED, from these places (m, NED)."""
+        """Draw arrows (n, 3) of velocities, in m/s NED, from these positions (m, NED)."""
         rr = self._rr
         entity = self.entity("aircraft", *parts)
         self.style(entity, rr.Arrows3D.from_fields(colors=[rgb], radii=[0.5]))

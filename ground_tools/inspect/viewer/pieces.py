@@ -1,4 +1,4 @@
-"""What some steps of one aircraft contain, in the columns that a recording draws.
+"""Data of some steps of one aircraft, in the columns that a recording draws.
 
 Times are on the common time line.
 """
@@ -51,7 +51,7 @@ class Bound:
 
 @dataclass(slots=True)
 class Piece:
-    """What some steps of one aircraft contain, in columns. Positions are in the scene's frame (NED, m)."""
+    """Data of some steps of one aircraft, in columns. Positions are in the scene's frame (NED, m)."""
 
     own_s: Floats
     """(n,) times of own positions."""

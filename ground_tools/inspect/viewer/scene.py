@@ -83,7 +83,7 @@ class Scene:
     name: str = ""
     """Name of the run if it is one of several. The names of its lines begin with it."""
     span_s: tuple[float, float] | None = None
-    """First and last time of the run; None while it goes on."""
+    """First and last time of the run; None while it is in progress."""
 
     def piece(self, time_s: float) -> tuple[int, bool]:
         """Return the piece of the time line for a time: its number, and whether it is in the encounter."""

@@ -1,4 +1,4 @@
-"""Where things are drawn: NED to the viewer's axes, and the shapes of half-spaces."""
+"""Geometry of drawings: conversion from NED to the viewer's axes, and the shapes of half-spaces."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from companion.arrays import Float32s, Floats
 from ground_tools.inspect.explain.why import HalfSpace
 
 ARROW_S = 5.0
-"""An arrow is as long as the way at its velocity in this time."""
+"""The length of an arrow is the distance flown at its velocity in this time."""
 SQUARE_M = 6.0
 """Half the side of the squares that represent half-spaces."""
 

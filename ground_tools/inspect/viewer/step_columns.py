@@ -1,7 +1,7 @@
 """Converts steps of one aircraft to columns that a recording draws.
 
-A `StepColumns` takes an aircraft's steps piece by piece, in order. Of earlier pieces it keeps only what later
-ones are compared with: modes, conflicts, names. Times in the result are on the common time line.
+A `StepColumns` takes an aircraft's steps piece by piece, in order. Of earlier pieces it keeps only the data
+to which later ones are compared: modes, conflicts, names. Times in the result are on the common time line.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Rerun's web viewer on loopback, with a page that contacts no other host (except for map tiles).
 
 The viewer comes with rerun: `rerun --serve-web` serves its page and the data that is sent to it. By default
-it listens on all interfaces; here it listens on 127.0.0.1 only. Its page would contact its makers for news,
-examples and a font, and report its use to them. Therefore a browser gets the page through a server of ours,
+it listens on all interfaces; here it listens on 127.0.0.1 only. Its page would contact the vendor for news,
+examples and a font, and report usage statistics. Therefore a browser gets the page through a server of ours,
 which adds a Content-Security-Policy (W3C CSP 3) that restricts it to this machine. The same server provides
 the recording as a file.
 
@@ -86,10 +86,10 @@ class WebViewer:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            # A session of its own: Ctrl-C must not end the viewer before the stream that sends to it.
+            # A separate session: Ctrl-C must not end the viewer before the stream that sends to it.
             start_new_session=True,
             preexec_fn=_end_with(os.getpid()),
-            # Rerun's process also reports each page to its makers, unless this variable is set.
+            # Rerun's process also reports each page view to the vendor, unless this variable is set.
             env={**os.environ, "CI": "1"},
         )
         self._front: _Front | None = None

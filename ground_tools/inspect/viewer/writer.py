@@ -1,8 +1,8 @@
 """Writes a run into a Rerun recording piece by piece, in columns (`send_columns`).
 
 A `Writer` is given a `Scene`, and then steps of aircraft, flown paths and distances. It works for a finished
-record as well as for a flight that goes on, and needs memory for one piece only. The frame is drawn as x
-east, y north, z up (m). rerun is imported on use, because its import takes seconds and it is an optional
+record as well as for a flight in progress, and needs memory for one piece only. The frame is drawn as x east,
+y north, z up (m). rerun is imported on use, because its import takes seconds and it is an optional
 dependency.
 
 There are two time lines: `time` is that of the run, and `encounter` contains what a viewer shows first,
@@ -86,7 +86,7 @@ class Writer:
         stream.log(self._draw.entity("about"), about, static=True)
 
     def settle(self, now_s: float = math.inf) -> None:
-        """Send what is held back, and remove what was drawn last and is stale now (`Drawing.settle`)."""
+        """Send the rows that are held back, and remove last rows that are stale now (`Drawing.settle`)."""
         self._draw.settle(now_s)
 
     def say(self, time_s: float, text: str) -> None:

@@ -1,6 +1,6 @@
-"""The figure over density: what communication decides among hundreds of aircraft in one air.
+"""The figure over density: the effect of communication on the safety of hundreds of aircraft over a city.
 
-`command` is `ground-tools paper city`. `grid` says which cities are flown and what they cost, `runs` flies
-and keeps them, `numbers` gives values with intervals, `verdict` the density at which a method stops keeping
-the target, `table` and `picture` show them. docs/city.md describes the study.
+`command` is `ground-tools paper city`. `grid` defines the cities and their computing cost, `runs` flies them
+and stores the results, `numbers` gives values with intervals, `verdict` finds the density at which a method
+stops meeting the target, and `table` and `picture` show the results. docs/city.md describes the study.
 """

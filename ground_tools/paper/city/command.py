@@ -1,4 +1,4 @@
-"""The command `ground-tools paper city`: what communication is worth against density.
+"""The command `ground-tools paper city`: the effect of communication against traffic density.
 
 Each method flies the same traffic with the same seeds. Finished runs are kept and not repeated.
 """
@@ -40,10 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add, grid = parser.add_argument, Grid()
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.description = (
-        "Fly cities of rising density, with every method of knowing of others, without and with foreign\n"
+        "Fly cities of rising density, with every way to learn of other aircraft, without and with foreign\n"
         "load, and show losses of separation, conflicts, deviation, ages and channel load with intervals of\n"
-        "95 % over seeds; then say at which density each method stops keeping the target. The expected CPU\n"
-        "time is printed first. Finished runs are kept in --out, so that the same command continues."
+        "95 % over seeds; then state at which density each method stops keeping the target. The expected\n"
+        "CPU time is printed first. Finished runs are kept in --out, so that the same command continues."
     )
     parser.epilog = f"example: {EXAMPLE}\n\nmethods:\n" + "\n".join(
         f"  {k:8s} {m.words}" for k, m in METHODS.items()
@@ -53,22 +53,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--methods", nargs="+", choices=METHODS, default=list(grid.methods), metavar="M",
         help="methods of those below (default: all)")  # fmt: skip
     add("--loads", type=float, nargs="+", default=list(grid.loads), metavar="SHARE",
-        help="shares of time for which others fill the Wi-Fi channel "
+        help="shares of time for which background traffic fills the Wi-Fi channel "
         f"(default: {' '.join(f'{load:g}' for load in grid.loads)})")  # fmt: skip
     seeds = f"{grid.seeds[0]}-{grid.seeds[-1]}"
     add("--seeds", default=seeds, metavar="FROM-TO",
         help=f"range of seeds, one run of each cell for each (default: {seeds})")  # fmt: skip
     add("--aircraft", type=int, default=grid.aircraft, metavar="N",
-        help="aircraft in the air, which give the area: a square of 2 km at least, 20 km at most "
+        help="aircraft in the air, which determine the area: a square of 2 to 20 km "
         f"(default: {grid.aircraft})")  # fmt: skip
     add("--pattern", choices=PATTERNS, default=grid.pattern,
-        help=f"who flies where (default: {grid.pattern})")  # fmt: skip
+        help=f"traffic pattern (default: {grid.pattern})")  # fmt: skip
     add("--region", choices=("us", "eu"), default=grid.region,
-        help=f"whose law the sets of transports keep (default: {grid.region})")  # fmt: skip
+        help=f"region whose rules limit the sets of transports (default: {grid.region})")  # fmt: skip
     add("--minutes", type=float, default=grid.duration_s / 60.0, metavar="N",
         help=f"length of a run (default: {grid.duration_s / 60.0:g})")  # fmt: skip
     add("--settle", type=float, default=grid.settle_s, metavar="S",
-        help=f"count what happens from this second on (default: {grid.settle_s:g})")  # fmt: skip
+        help=f"simulated time at which counting begins (default: {grid.settle_s:g})")  # fmt: skip
     add("--out", type=Path, default=Path("runs/paper/city"), metavar="FOLDER",
         help="folder of runs, table.md, table.csv and city.png (default: runs/paper/city)")  # fmt: skip
     add("--jobs", type=int, metavar="N", help="runs at the same time (default: one per core)")
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     out: Path = args.out
     ours = given(str(out))
     options.make_folder(out)
-    if ours != out:  # the runs that come with an installed copy, or with a checkout elsewhere
+    if ours != out:  # the runs that are part of an installed copy, or of another checkout
         shutil.copytree(ours, out, dirs_exist_ok=True)
     file = runs.kept(out)
     missing = runs.missing(grid, file.rows)
@@ -112,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def grid_of(args: argparse.Namespace) -> Grid:
-    """The grid that the options ask for.
+    """The grid that the options describe.
 
     Raises:
         ConfigError: an option is out of range.
@@ -149,7 +149,7 @@ def grid_of(args: argparse.Namespace) -> Grid:
 
 
 def edges(grid: Grid) -> list[str]:
-    """How much of the ranges of radio lies inside of the area, in words, for each density."""
+    """For each density, which share of the radio range lies inside the area, as text."""
     ranges = ranges_of(grid.city(Cell(0.0, grid.densities[0], grid.methods[0])))
     lines = []
     for density in grid.densities:

@@ -1,4 +1,4 @@
-"""The cities of the figure: every density, flown by every method, without and with foreign load."""
+"""The cities of the figure: every density with every method, without and with background load."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from ground_tools.city.traffic.demand import Demand
 from sitl_mocks.channel.link_budget import ranges_m
 
 DENSITIES: Final = (1.0, 3.0, 10.0, 30.0, 100.0)
-"""Aircraft in the air on a square kilometre."""
+"""Aircraft in the air per square kilometre."""
 LOADS: Final = (0.0, 0.6)
-"""Shares of time for which foreign transmissions fill the Wi-Fi channel, as in `paper closed-loop`."""
+"""Shares of time for which background traffic fills the Wi-Fi channel, as in `paper closed-loop`."""
 AIRCRAFT: Final = 400
 LEAST_SIDE_M, MOST_SIDE_M = 2000.0, 20_000.0
 START_S: Final = 15.0
-"""CPU time in which a worker process starts and reads its compiled functions, s."""
+"""CPU time that a worker process needs to start and to load its compiled functions, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """What aircraft know of each other, and by which transports."""
+    """How aircraft learn of each other, and by which transports."""
 
     words: str
     """Display name."""
     settings: dict[str, Any]
-    """Fields of `City`."""
+    """Values of fields of `City`."""
     cost_us: tuple[float, float, float, float]
-    """CPU time of an aircraft and simulated second, measured at 1, 10, 30 and 100 aircraft per km²."""
+    """CPU time (us) per aircraft and simulated second, measured at 1, 10, 30 and 100 aircraft per km²."""
     talks: bool = True
-    """Whether it uses radio, so that foreign load makes a difference."""
+    """Whether the method uses radio, so that background load has an effect."""
 
 
 PERFECT, NOBODY = "perfect", "none"
@@ -48,7 +48,7 @@ METHODS: Final = {
     PERFECT: Method("perfect information", {"knows": "perfect"}, (37, 43, 49, 68), talks=False),
     NOBODY: Method("nobody avoids", {"law": "none", "knows": "perfect"}, (30, 27, 25, 26), talks=False),
 }
-"""The methods. The three single transports disregard the law of a region: BLE 4 or BLE 5 alone is legal
+"""The methods. The three single transports ignore the region's rules: BLE 4 or BLE 5 alone is legal
 nowhere."""
 _COSTS_AT: Final = (1.0, 10.0, 30.0, 100.0)
 
@@ -71,15 +71,15 @@ class Grid:
     loads: tuple[float, ...] = LOADS
     seeds: range = range(1, 4)
     aircraft: int = AIRCRAFT
-    """Mean number in the air, from which the area follows."""
+    """Mean number of aircraft in the air, which determines the area."""
     pattern: str = "mixed"
     region: str = "us"
-    """Its law decides which sets of transports are legal."""
+    """Region whose rules decide which sets of transports are legal."""
     duration_s: float = 300.0
     settle_s: float = 60.0
 
     def cells(self) -> Iterator[Cell]:
-        """All cells. A method without radio has one for each load, and the same runs in each."""
+        """All cells. A method without radio has one cell for each load, with the same runs in each."""
         for load in self.loads:
             for density in self.densities:
                 for method in self.methods:
@@ -87,7 +87,7 @@ class Grid:
 
     @property
     def options(self) -> str:
-        """The options of the command that ask for this grid, without those that have their defaults."""
+        """The command-line options that give this grid, without those at their defaults."""
         usual = Grid()
         given = {
             "--densities": _words(self.densities, usual.densities),
@@ -103,12 +103,12 @@ class Grid:
         return "".join(f" {option} {words}" for option, words in given.items() if words)
 
     def side_m(self, density: float) -> float:
-        """Side of the square that is flown over."""
+        """Side of the square city, m."""
         side = 1000.0 * math.sqrt(self.aircraft / density)
         return min(max(round(side, -1), LEAST_SIDE_M), MOST_SIDE_M)
 
     def city(self, cell: Cell) -> City:
-        """What is flown for a cell."""
+        """The city that is flown for a cell."""
         side, method = self.side_m(cell.density), METHODS[cell.method]
         demand: dict[str, Any] = {"pattern": self.pattern, "per_km2": cell.density}
         flown: dict[str, Any] = dict(method.settings)
@@ -123,23 +123,23 @@ class Grid:
 
 
 def _words(values: tuple[float | str, ...], usual: tuple[float | str, ...]) -> str:
-    """The values of an option; empty if they are the usual ones."""
+    """The values of an option as text; empty if they are the defaults."""
     if values == usual:
         return ""
     return " ".join(value if isinstance(value, str) else f"{value:g}" for value in values)
 
 
 def cost_s(city: City, method: str) -> float:
-    """CPU time that one run takes about, in seconds, by what was measured."""
+    """Expected CPU time of one run (s), from measured values."""
     at = np.log(np.clip(city.demand.per_km2, _COSTS_AT[0], _COSTS_AT[-1]))
     each = float(np.interp(at, np.log(_COSTS_AT), METHODS[method].cost_us))
     return 1e-6 * each * city.demand.aircraft * city.duration_s
 
 
 def inside(range_m: float, side_m: float) -> float:
-    """Mean share of a disc around an aircraft that lies inside of the square that the aircraft is anywhere
-    in: the share of its neighbours in range that a boundless city of this density would have and this one
-    has."""
+    """Mean share of the disc around an aircraft that lies inside the square, for an aircraft anywhere in it.
+    A boundless city of this density would have more neighbours in range; this is the share that exists
+    here."""
     radii = range_m * np.sqrt((np.arange(200) + 0.5) / 200.0)
     angles = 2.0 * math.pi * (np.arange(200) + 0.5) / 200.0
     north = np.abs(np.outer(radii, np.cos(angles)))
@@ -149,7 +149,7 @@ def inside(range_m: float, side_m: float) -> float:
 
 
 def ranges_of(city: City) -> tuple[float, float, float]:
-    """How far BLE 4, BLE 5 and Wi-Fi reach, m."""
+    """Ranges of BLE 4, BLE 5 and Wi-Fi, m."""
     from ground_tools.city.cells import channel_of
 
     ble4, ble5, wifi = ranges_m(channel_of(city)).tolist()

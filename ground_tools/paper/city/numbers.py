@@ -1,4 +1,4 @@
-"""What the figure shows of each cell, each with its 95 % interval over runs."""
+"""The measures that the figure shows for each cell, with 95 % intervals over runs."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ class Measure:
     key: str
     title: str
     of: Callable[[Row], float | None]
-    """Value of a run; None: it does not apply. Of an event, its count."""
+    """Value for a run, or the count of an event; None: the measure does not apply."""
     events: bool = False
-    """Whether it counts events, of which the figure shows the rate per flight hour."""
+    """Whether the measure counts events; the figure then shows the rate per flight hour."""
     share: bool = False
-    """Whether it lies between 0 and 1."""
+    """Whether the value lies between 0 and 1."""
     scale: float = 1.0
-    """Factor in the table for people."""
+    """Factor for the table, such as 100 for percent."""
     digits: int = 2
     panel: bool = True
-    """Whether the picture shows it."""
+    """Whether the picture has a panel for it."""
     logarithmic: bool = False
 
 
@@ -57,14 +57,15 @@ MEASURES: Final = (
             digits=1),
     Measure("wifi_load", "Wi-Fi load of the city", lambda r: r.wifi_load, logarithmic=True),
 )  # fmt: skip
-"""Everything that is shown, in the order of the columns."""
+"""All measures, in the order of the columns."""
 
 
 def estimate(rows: Sequence[Row], measure: Measure) -> Estimate | None:
-    """A measure of a cell with its interval; None if it does not apply, or without an hour of flight.
+    """A measure of a cell with its interval; None if it does not apply, or if there is no flight time.
 
-    Events are pooled, with an interval of the Poisson distribution that is widened where the runs differ more
-    than it allows; anything else is the mean of the runs, with Student's interval.
+    Events are pooled over runs. Their interval is that of the Poisson distribution, widened if the runs
+    differ more than that distribution allows. Any other measure is the mean of the runs, with Student's
+    interval.
     """
     values = [value for row in rows if (value := measure.of(row)) is not None]
     if len(values) < len(rows):

@@ -20,7 +20,7 @@ _COLOURS: Final = {
 }  # fmt: skip
 _MARKS: Final = dict(zip(METHODS, "ovs^DPX*", strict=True))
 _APART: Final = 0.04
-"""Methods stand this much (in decades of density) beside each other, so that no interval hides another."""
+"""Horizontal offset between methods, in decades of density, so that no interval hides another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Curve:
 
     method: str
     points: tuple[tuple[float, Estimate], ...]
-    """Density and value, ascending."""
+    """Density and value, by ascending density."""
 
 
 def size_in(loads: int) -> tuple[float, float]:
@@ -53,7 +53,7 @@ def curves(cells: Mapping[Cell, Sequence[Row]], load: float, measure: Measure) -
 
 
 def draw(figure: Any, cells: Mapping[Cell, Sequence[Row]]) -> None:
-    """Draw all panels. Those of one measure stand beside each other and share their scale."""
+    """Draw all panels. The panels of one measure are side by side and share their scale."""
     loads = list(dict.fromkeys(cell.load for cell in cells))
     figure.suptitle(
         "A city against density. Bars: 95 % intervals over runs.\n"
@@ -104,14 +104,14 @@ def _draw(axes: Any, curve: Curve, measure: Measure) -> Any:
             if high > 0.0:
                 axes.plot([place], [high], color=colour, marker="v", ms=8, mfc="none", ls="none")
             continue
-        if measure.logarithmic:  # an interval may go down to 0, which this scale lacks: see `_end_below`
+        if measure.logarithmic:  # cannot show an interval down to 0: see `_end_below`
             low = max(low, 1e-9 * value)
         axes.plot([place, place], [low, high], color=colour, lw=1.4, alpha=0.8)
     return line
 
 
 def _end_below(axes: Any, drawn: Sequence[Curve], measure: Measure) -> None:
-    """Let a logarithmic scale end below the least value, whatever the intervals are."""
+    """Make a logarithmic scale end just below the least value, regardless of the intervals."""
     values = [value.value or value.high for curve in drawn for _, value in curve.points]
     least = min((value for value in values if 0.0 < value < math.inf), default=None)
     if least is not None:

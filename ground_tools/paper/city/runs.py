@@ -1,4 +1,4 @@
-"""The runs of the figure: flown in parallel, and kept in one file, each with its city."""
+"""The runs of the figure: flown in parallel and stored in one file, each with its city."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ PACKAGES: Final = ("numpy", "numba")
 COMMAND: Final = "ground-tools paper city --out results/city-paper"
 _THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _TOLD_S: Final = 60.0
-"""Where no progress bar can be shown, a line tells of the progress this often."""
+"""Interval between lines about the progress, if no progress bar can be shown."""
 
 
 class Run(msgspec.Struct, frozen=True):
-    """One run. A setting that a later version adds to `City` has its default value in older runs."""
+    """One stored run. A setting that a later version adds to `City` has its default value in older runs."""
 
     city: City
     row: Row
@@ -46,7 +46,7 @@ Rows = Mapping[Cell, list[Row]]
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """A run that is missing."""
+    """A run that has to be flown."""
 
     method: str
     city: City
@@ -54,26 +54,26 @@ class Work:
 
     @property
     def cost_s(self) -> float:
-        """CPU time that it takes about."""
+        """Expected CPU time, s."""
         return cost_s(self.city, self.method)
 
 
 def number_of(city: City, seed: int) -> int:
-    """Number of a run in its file."""
+    """Key of a run in its file."""
     content = msgspec.json.encode([city, seed])
     return int(hashlib.sha256(content).hexdigest()[:15], 16)
 
 
 def made_by_now(command: str = COMMAND) -> Provenance:
-    """The record of runs that today's software flies."""
+    """The provenance record of runs that the present software flies."""
     return provenance.now(command, ROOTS, DATA, PACKAGES)
 
 
 def kept(folder: Path) -> Kept[Run]:
-    """The runs of a folder, which exists. Those of other software are read, but never mixed with new ones.
+    """The runs in an existing folder. Runs by other software are read, but never mixed with new ones.
 
     Raises:
-        ConfigError: the file cannot be read, or is of another study.
+        ConfigError: the file cannot be read, or belongs to another study.
     """
     now = made_by_now()
     software = hashlib.sha256(repr((now.sources, now.data)).encode()).hexdigest()[:12]
@@ -83,7 +83,7 @@ def kept(folder: Path) -> Kept[Run]:
 
 
 def missing(grid: Grid, runs: Mapping[int, Run]) -> list[Work]:
-    """The runs that a grid lacks, the costly ones first, so that no worker idles at the end."""
+    """The missing runs of a grid, the most costly ones first, so that no worker is idle at the end."""
     found: dict[int, Work] = {}
     for cell in grid.cells():
         city = grid.city(cell)
@@ -107,7 +107,7 @@ def rows_of(grid: Grid, runs: Mapping[int, Run]) -> dict[Cell, list[Row]]:
 
 
 def estimate(works: list[Work], jobs: int) -> str:
-    """What the missing runs cost about, in words."""
+    """The expected cost of the missing runs, as text."""
     cpu_s = sum(work.cost_s for work in works) + START_S * min(jobs, len(works))
     return (
         f"{len(works)} runs are to be flown: about {_minutes(cpu_s)} of CPU time, {_minutes(cpu_s / jobs)} "
@@ -116,18 +116,18 @@ def estimate(works: list[Work], jobs: int) -> str:
 
 
 def fly_missing(file: Kept[Run], works: list[Work], jobs: int, words: Console, command: str) -> None:
-    """Fly runs, and keep each as soon as it is finished, with the record of what made them beside the file.
+    """Fly runs and store each as soon as it is finished, with a provenance record beside the file.
 
     Raises:
-        ConfigError: a file cannot be written, or its runs are of other software.
+        ConfigError: a file cannot be written, or its runs were flown by other software.
     """
     if not works:
         return
-    # At once, and not after the first run: it is refused if the file's runs are of other software.
+    # Open the file now, not after the first run: it is refused if its runs were flown by other software.
     file.add([])
     provenance.write(file.path, made_by_now(command))
-    # A policy's matrices are small: threads of NumPy that wait for each other took four times its CPU time.
-    # Workers heed this; where a single one flies in this process, NumPy has already read it.
+    # A policy's matrices are small: with several NumPy threads, waiting took four times the CPU time. Worker
+    # processes obey this variable. If one worker runs in this process, NumPy has already read it.
     for name in _THREADS:
         os.environ.setdefault(name, "1")
     told = _teller(works, words)
@@ -143,7 +143,8 @@ def _fly(work: Work) -> Row:
 
 
 def _teller(works: list[Work], words: Console) -> Callable[[Work], None]:
-    """Tells of the progress in lines, for a log file; the rest is estimated from the cost of what is done."""
+    """A function that prints progress lines, for log files. The remaining time is estimated from the finished
+    cost."""
     whole_s, began_s = sum(work.cost_s for work in works), time.monotonic()
     state: dict[str, Any] = {"done": 0, "cost": 0.0, "told": began_s}
 
@@ -155,7 +156,7 @@ def _teller(works: list[Work], words: Console) -> Callable[[Work], None]:
             return
         state["told"] = now_s
         left_s = (now_s - began_s) * (whole_s - state["cost"]) / state["cost"]
-        words.print(f"{state['done']} of {len(works)} runs, some {_minutes(left_s)} left", highlight=False)
+        words.print(f"{state['done']} of {len(works)} runs, about {_minutes(left_s)} left", highlight=False)
 
     return tell
 
@@ -165,7 +166,7 @@ def _minutes(time_s: float) -> str:
 
 
 def sample(path: Path) -> list[str]:
-    """Fly the shortest kept run of each method again. Returns what differs, in words."""
+    """Fly the shortest kept run of each method again. Returns the differences, as text."""
     first: dict[tuple[str, str, str], Run] = {}
     for run in read_lines(path, Run)[1]:
         key = (run.city.law, run.city.knows, run.city.transports)

@@ -1,4 +1,4 @@
-"""The numbers of the figure as Markdown, as CSV, as JSON, and for the terminal."""
+"""The numbers of the figure as Markdown, CSV, JSON, and tables for the terminal."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Cells = Mapping[Cell, Sequence[Row]]
 
 
 def text_of(found: Estimate | None, measure: Measure) -> str:
-    """A value with its interval, for people."""
+    """Text of a value with its interval."""
     if found is None:
         return "-"
     value = f"{measure.scale * found.value:.{measure.digits}f}"
@@ -57,7 +57,8 @@ def markdown(cells: Cells) -> str:
 
 
 def brief(cells: Cells) -> str:
-    """The losses, the distance from the timed point and the unheard of each method and density."""
+    """A short table: losses, distance from the timed point, and share of unheard aircraft, by method and
+    density."""
     densities = sorted({cell.density for cell in cells})
     lines = []
     for load in dict.fromkeys(cell.load for cell in cells):
@@ -84,7 +85,8 @@ def _sums(rows: Sequence[Row]) -> tuple[float, int]:
 
 
 def csv_of(cells: Cells) -> str:
-    """A line for each cell; of each measure the value and both ends of its interval, empty if unknown."""
+    """CSV with a line for each cell: for each measure the value and both ends of its interval, empty if
+    unknown."""
     found, out = estimates(cells), io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     ends = ("", "_low", "_high")
@@ -136,7 +138,7 @@ def _value(found: Estimate | None) -> dict[str, Any]:
 
 
 def show(cells: Cells, console: Console) -> None:
-    """Print the tables for people."""
+    """Print the tables on the terminal."""
     found, measures = estimates(cells), [m for m in MEASURES if m.key in _SHOWN]
     for load in dict.fromkeys(cell.load for cell in cells):
         title = f"foreign load {load:g}, intervals of 95 %"

@@ -1,8 +1,9 @@
 """Up to which density a method keeps a target, judged by the interval of a ratio of two rates of losses.
 
-A method keeps a target if the whole 95 % interval of its losses per flight hour over those of a reference, in
-the same traffic, is at most the target's number, and misses it if the whole interval is above. Where the
-interval holds the number, there were too few losses to tell, which is a result of its own.
+The ratio is the method's losses per flight hour divided by those of a reference in the same traffic. A method
+keeps a target if the whole 95 % interval of the ratio is at most the target's number, and misses it if the
+whole interval is above. If the interval contains the number, there were too few losses to decide, which is
+reported as such.
 """
 
 from __future__ import annotations
@@ -21,18 +22,18 @@ from ground_tools.paper.city.numbers import CRUISE, LOSSES, Measure, estimate
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What a method has to keep."""
+    """A target that a method has to keep."""
 
     measure: Measure
-    """The losses that count."""
+    """Measure of the losses that count."""
     reference: str
-    """Method that they are compared with."""
+    """Key of the method for comparison."""
     most: float
-    """Most times that its rate of losses may be."""
+    """Greatest allowed ratio of the method's loss rate to that of the reference."""
 
     @property
     def words(self) -> str:
-        """The target in words."""
+        """The target as text."""
         which = "losses of separation" if self.measure is LOSSES else "losses in cruise"
         return f"at most {self.most:g} times the {which} per flight hour of: {METHODS[self.reference].words}"
 
@@ -42,18 +43,19 @@ TARGETS: Final = {
     "perfect-cruise": Target(CRUISE, PERFECT, 2.0),
     "prevented": Target(LOSSES, NOBODY, 0.1),
 }
-"""The targets: hardly more losses than with the true state of all; the same far from departures and arrivals;
-and nine of ten losses prevented that happen if nobody avoids. The last one is told by fewer runs."""
+"""The targets. perfect: at most twice the losses of perfect information. perfect-cruise: the same, far from
+departures and arrivals. prevented: at most a tenth of the losses without avoidance; fewer runs decide this
+one."""
 Standing = Literal["kept", "missed", "open"]
 
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """One cell against perfect information."""
+    """One cell compared with the reference of a target."""
 
     standing: Standing
     times: Estimate | None
-    """Its losses per flight hour over those of the reference; None: neither had any."""
+    """Losses per flight hour divided by those of the reference; None: neither had any."""
 
     @property
     def words(self) -> str:
@@ -68,22 +70,22 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One method under one load."""
+    """The verdict on one method under one load."""
 
     target: str
     """A key of `TARGETS`."""
     load: float
     method: str
     judged: dict[float, Judged]
-    """By density, ascending."""
+    """Comparison with the reference, by ascending density."""
 
     def at(self, standing: Standing) -> list[float]:
-        """The densities with this standing, ascending."""
+        """The densities with this result, ascending."""
         return [density for density, one in self.judged.items() if one.standing == standing]
 
     @property
     def stops(self) -> float | None:
-        """The lowest density at which the target is missed; None: nowhere, as far as was flown and told."""
+        """The lowest density at which the target is missed; None: it is missed at no flown density."""
         return next(iter(self.at("missed")), None)
 
     @property
@@ -106,7 +108,7 @@ class Verdict:
 
 
 def judge(first: Estimate, reference: Estimate, most: float) -> Judged:
-    """A rate of losses against that of the reference."""
+    """Compare a rate of losses with that of the reference."""
     times = ratio(first, reference)
     if times is None or times.low <= most < times.high:
         return Judged("open", times)
@@ -114,7 +116,7 @@ def judge(first: Estimate, reference: Estimate, most: float) -> Judged:
 
 
 def verdicts(cells: Mapping[Cell, Sequence[Row]]) -> list[Verdict]:
-    """The verdicts on all methods under all loads that have the reference beside them, target by target."""
+    """The verdicts for all methods and loads for which the reference was flown, target by target."""
     found = []
     for name, target in TARGETS.items():
         for load in dict.fromkeys(cell.load for cell in cells):
@@ -139,9 +141,9 @@ def _judged(
 
 
 def sentences(found: Sequence[Verdict]) -> list[str]:
-    """The verdicts in words, below lines that state the targets."""
+    """The verdicts as text, below lines that state the targets."""
     if not found:
-        return ["No verdict: it needs a method beside perfect information or nobody avoiding (--methods)."]
+        return ["No verdict: --methods needs a method to judge and a reference (perfect or none)."]
     lines = []
     for name, load in dict.fromkeys((one.target, one.load) for one in found):
         air = f"foreign load {load:g}" if load else "no foreign load"

@@ -40,7 +40,7 @@ COLOURS: Final = {"madqn": "#d55e00", "madqn-shared": "#5a5a5a", "maddpg": "#a06
 them."""
 _PANELS: Final = ("madqn", "maddpg", "iac")
 _END: Final = 10
-"""Number of last points of a curve whose mean is its end: 100 episodes."""
+"""Number of last points of a curve that are averaged for its end value: 100 episodes."""
 
 
 def report(path: Path = CONVERGENCE) -> Report:
@@ -107,7 +107,7 @@ def statements(results: Results) -> list[Statement]:
 
 def comparisons(results: Results) -> list[Comparison]:
     """Delays of every algorithm, by density, with the last networks and with those of the best validation.
-    The last ones stand beside the published delays."""
+    The delays with the last networks are compared with the published ones."""
     found = []
     for algorithm, networks, (density, key) in itertools.product(
         _present(results), ("last", "best"), _KEYS.items()

@@ -1,9 +1,9 @@
-"""`ground-tools paper dmuca --sweep`: the readings under which the paper's figure of separations comes out.
+"""`ground-tools paper dmuca --sweep`: finds readings of the paper that reproduce its figure of separations.
 
 The paper draws one flight for each delay: no pair below 10 m at [0, 1] s, two at [1, 2] s, six at [2, 3] s.
 It names neither the paths nor the parameters of its law. The sweep flies many values of both, without
-navigation errors, and asks of each: does the mean number of pairs below 10 m grow with the delay, and how
-often does one encounter come to 0, 2 and 6 pairs?
+navigation errors. For each it determines whether the mean number of pairs below 10 m grows with the delay,
+and how often one encounter has 0, 2 and 6 such pairs.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ RECOVERIES_S: Final = (1.0, 10.0)
 PUBLISHED: Final = (0, 2, 6)
 """Pairs below 10 m in the paper's flight at each of `DELAYS_S`."""
 _MODULE: Final = "ground_tools.paper.figures.dmuca_flights"
-"""Module whose code, with all that it imports, makes the rows."""
+"""Module whose code, including its imports, makes the rows."""
 _COLOURS: Final = {"grows": "#2a78d6", "mean": "#a8c8ee", "not": "#e6e6e6"}
 
 
@@ -48,13 +48,13 @@ class Reading(msgspec.Struct, frozen=True, kw_only=True):
     geometry: Kind
     """Set of paths (`sitl_mocks.encounters.scenario`)."""
     period_s: float
-    """T_ORCA."""
+    """T_ORCA, the period of decisions."""
     horizon_s: float
-    """tau."""
+    """tau, the time horizon."""
     cycles: int
-    """n_noncollide."""
+    """n_noncollide, the number of decisions without conflict before the recovery."""
     recovery_s: float
-    """T."""
+    """T, the recovery time."""
 
     @property
     def avoidance(self) -> AvoidanceConfig:
@@ -83,7 +83,7 @@ class Row(msgspec.Struct, frozen=True):
     number: int
     """Index in `READINGS`."""
     below: tuple[tuple[int, ...], ...]
-    """Pairs below 10 m, for each delay and in each its flights by seed."""
+    """Numbers of pairs below 10 m: for each delay, one number for each flight in the order of seeds."""
     least_m: tuple[float, ...]
     """Least separation of all flights of each delay."""
 

@@ -1,4 +1,4 @@
-"""What each reading of the paper's channel model gives: the published delays under every alternative.
+"""The published delays under each reading of the paper's channel model.
 
 Each row changes one choice among those that docs/readings.md lists, and keeps the others.
 """

@@ -44,12 +44,12 @@ _BOXES: Final = {
 _SENDS, _LISTENS, _HEARD = "#2a78d6", "#d9d9d9", "#e34948"
 _SHOWN_MS: Final = 26.0
 _EVENT_MS: Final = (0.6, 16.9)
-"""Begin of the two advertising events that are drawn, one of which is received."""
+"""Start times of the two advertising events that are drawn, one of which is received."""
 _BEACONS_MS: Final = (2.2, 10.5, 17.8)
 
 
 def framework_report() -> Report:
-    """What the drawing of the framework shows."""
+    """The report on the drawing of the framework."""
     return Report(
         title="The DMUCA framework: observe, orient, decide, act",
         notes=("A drawing without numbers. docs/architecture.md names the modules of each part.",),
@@ -57,7 +57,7 @@ def framework_report() -> Report:
 
 
 def modes_report() -> Report:
-    """What the drawing of the radio modes shows."""
+    """The report on the drawing of the radio modes."""
     p = ChannelParameters()
     return Report(
         title="Operation of BLE 4, BLE 5 and Wi-Fi as senders and receivers",
@@ -75,7 +75,7 @@ def modes_report() -> Report:
 
 
 def draw_framework(path: Path) -> None:
-    """Draw the four parts and the way of a message from one aircraft to another.
+    """Draw the four parts and the path of a message from one aircraft to another.
 
     Raises:
         ConfigError: matplotlib is missing, or the file cannot be written.
@@ -128,7 +128,7 @@ def draw_modes(path: Path) -> None:
 
 
 Span = tuple[float, float, int]
-"""Begin and duration (ms), and channel, counted from 0."""
+"""Start and duration (ms), and channel, counted from 0."""
 
 
 def primary_packets(ble: BleParameters | Ble5Parameters, begin_ms: float) -> list[Span]:

@@ -27,7 +27,7 @@ PUBLISHED_MS: Final = {**fixed_modes.PUBLISHED_MS, **convergence.PUBLISHED_MS}
 PAPERS: Final = (*LEARNERS, BLE4, BLE5, WIFI_BEACON, "random")
 """Methods in the paper's figure."""
 NEAR: Final = 0.1
-"""Relative difference of two delays up to which they count as close; above it, one counts as significantly
+"""Relative difference up to which two delays count as close; beyond it, one counts as significantly
 higher."""
 _WIDTH: Final = 0.88
 """Width of a group of bars."""
@@ -255,7 +255,7 @@ def draw(samples: int, seed: int, path: Path, source: Path = CONVERGENCE, policy
 
 
 def _places(index: int, number: int, groups: int) -> list[float]:
-    """Where the bars of a method are, one in each group of `number` bars."""
+    """Positions of a method's bars, one in each group of `number` bars."""
     return [group + (index - (number - 1) / 2.0) * _WIDTH / number for group in range(groups)]
 
 

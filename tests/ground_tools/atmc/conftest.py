@@ -1,4 +1,4 @@
-"""For the tests of training."""
+"""Fixtures for the tests of training."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from ground_tools.atmc.commands import evaluate
 
 @pytest.fixture(autouse=True)
 def _one_thread():
-    """As in training; several are slower on networks of this size."""
+    """Use one PyTorch thread, as in training; several are slower on networks of this size."""
     torch.set_num_threads(1)
 
 
 @pytest.fixture
 def brief(monkeypatch):
-    """Evaluations time twenty decisions, and count switches over a second in each square."""
+    """Shorten evaluations: they time twenty decisions, and count switches over one second in each square."""
     monkeypatch.setattr(evaluate, "_TIMED", 20)
     monkeypatch.setattr(evaluate, "_FLIGHT_STEPS", 6)

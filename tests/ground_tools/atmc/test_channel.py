@@ -1,4 +1,4 @@
-"""The equations on PyTorch against those in NumPy, and the difference cost against doing it."""
+"""Compares the PyTorch equations with the NumPy ones, and difference costs with costs after real changes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def env_of(objective, aircraft, fleets=6, seed=1, world=WORLD):
 
 
 def links_of(env):
-    """The same fleets side by side, as the NumPy model takes them."""
+    """The same fleets as one set of links, in the form that the NumPy model takes."""
     fleets, aircraft = env.action.shape
     sender, receiver = np.nonzero(~np.eye(aircraft, dtype=bool))
     loss = path_loss_db(env.world.distance_m(), env.channel) + env.world.shadowing_db
@@ -66,12 +66,12 @@ def awareness():
     return AwarenessObjective(TorchChannel(AWARENESS_CHANNEL, SET_ACTIONS))
 
 
-def test_the_channel_of_awareness_is_that_of_the_file():
+def test_awareness_uses_the_channel_of_the_standard_file():
     assert load(CONFIG / "channel/standard.toml") == AWARENESS_CHANNEL
 
 
 @pytest.mark.parametrize("aircraft", [2, 10, 40])
-def test_delays_of_p0_are_those_of_the_numpy_model(paper, aircraft):
+def test_delays_equal_those_of_the_numpy_model(paper, aircraft):
     env = env_of(paper, aircraft)
     ours = costs(paper, env.air, env.action).double().numpy()
     theirs = in_numpy(env).uav_delay_s().reshape(ours.shape)
@@ -103,7 +103,7 @@ def test_an_age_is_that_of_a_poisson_stream_cut_at_three_seconds():
 
 @pytest.mark.parametrize("name", ["paper", "awareness"])
 @pytest.mark.parametrize("aircraft", [3, 12])
-def test_difference_costs_are_what_a_change_really_costs_all(name, aircraft, request):
+def test_difference_costs_equal_the_cost_of_a_real_change(name, aircraft, request):
     objective = request.getfixturevalue(name)
     env = env_of(objective, aircraft, fleets=1, seed=4)
     _, difference = difference_costs(objective, env.air, env.action)
@@ -113,8 +113,8 @@ def test_difference_costs_are_what_a_change_really_costs_all(name, aircraft, req
         trials[:, changed] = torch.arange(actions)
         real = torch.stack([costs(objective, env.air, trial[None]).sum() for trial in trials])
         told = difference[0, changed]
-        # To first order in what changes for the others: the choice that it leads to costs hardly more. Of
-        # three aircraft the own radio's deafness is a large part, and no small step.
+        # The difference cost is first order in the change for the others, so its best choice may cost
+        # slightly more. With three aircraft the own radio's deafness is a large part, which is no small step.
         assert float(real[told.argmin()] - real.min()) <= 0.002 * float(real.min())
         assert (told - told.min()).numpy() == pytest.approx(
             (real - real.min()).numpy(), rel=0.1, abs=0.012 * float(real.min())
@@ -123,7 +123,7 @@ def test_difference_costs_are_what_a_change_really_costs_all(name, aircraft, req
 
 @pytest.mark.parametrize("name", ["paper", "awareness"])
 @pytest.mark.parametrize("side", [300.0, 3000.0])
-def test_what_a_change_does_to_the_others_is_told(name, side, request):
+def test_difference_costs_include_the_effect_on_other_aircraft(name, side, request):
     objective = request.getfixturevalue(name)
     env = env_of(objective, 12, fleets=1, seed=6, world=WorldSettings(sides=side, wifi_channels="random"))
     _, difference = difference_costs(objective, env.air, env.action)
@@ -140,7 +140,7 @@ def test_what_a_change_does_to_the_others_is_told(name, side, request):
 
 
 @pytest.mark.parametrize("name", ["paper", "awareness"])
-def test_own_action_does_not_disturb_oneself(name, request):
+def test_an_aircrafts_own_action_adds_no_load_to_its_own_links(name, request):
     objective = request.getfixturevalue(name)
     env = env_of(objective, 2, seed=9)
     loads = objective.channel.loads(env.air.reach, env.action)

@@ -1,4 +1,4 @@
-"""The set network: what it learns from, that it learns, and what comes out as a file."""
+"""The set network: its training targets, its learning, and its policy file."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_the_same_seed_gives_the_same_run_and_another_seed_another_one():
     assert runs[0] == runs[1] != runs[2]
 
 
-def test_what_is_measured_is_what_survives_and_uncertain_where_little_arrives():
+def test_measured_survival_is_unbiased_and_noisier_with_fewer_packets():
     objective, _ = objective_of("awareness")
     errors = []
     for rate in ((10, 0, 10), (3, 0, 2)):
@@ -88,7 +88,7 @@ def test_what_is_measured_is_what_survives_and_uncertain_where_little_arrives():
     assert 0.03 < errors[0] < 0.8 * errors[1]
 
 
-def test_who_reaches_nobody_learns_what_would_be_fast():
+def test_an_aircraft_without_listeners_learns_the_fastest_action():
     learner = FlyingLearner(msgspec.structs.replace(SMALL_PAPER, fleets=((2, 8),)), 1)
     (group,) = learner._groups
     world = group.env.world
@@ -100,8 +100,9 @@ def test_who_reaches_nobody_learns_what_would_be_fast():
     assert (target[..., delay_s.argmax()] < -0.05).all()
 
 
-def test_what_is_rare_and_dear_counts_with_its_mean(monkeypatch):
-    """One in ten that loses a second, whatever it sees: not forgiven as an outlier."""
+def test_rare_large_losses_count_with_their_mean(monkeypatch):
+    """Of ten targets, one is -1 s, independent of the observation. The mean is learned, so it is not treated
+    as an outlier."""
     settings = msgspec.structs.replace(SMALL, fleets=((3, 64),), episodes=2, updates=120, average=0.95)
     learner = FlyingLearner(settings, 1)
     drawn = torch.Generator().manual_seed(2)
@@ -118,7 +119,7 @@ def test_what_is_rare_and_dear_counts_with_its_mean(monkeypatch):
     assert float(learned.detach().mean()) == pytest.approx(-0.1, abs=0.02)
 
 
-def test_what_is_learned_counts_by_how_much_the_aircraft_matters_in_its_fleet():
+def test_samples_are_weighted_by_the_aircrafts_importance_in_its_fleet():
     learner = FlyingLearner(msgspec.structs.replace(SMALL, fleets=((4, 8),)), 1)
     (group,) = learner._groups
     position = torch.tensor([[0.0, 0.0, 50.0], [60.0, 0.0, 50.0], [400.0, 0.0, 50.0], [9000.0, 0.0, 50.0]])
@@ -136,12 +137,12 @@ def test_what_is_learned_counts_by_how_much_the_aircraft_matters_in_its_fleet():
     assert (paper._importance(paper._groups[0], torch.arange(4)) == 1.0).all()
 
 
-def test_it_learns(learned):
+def test_regret_falls_in_training(learned):
     assert learned.rows[-1]["regret_ms"] < 0.5 * learned.rows[0]["regret_ms"]
 
 
 @pytest.mark.usefixtures("brief")
-def test_nothing_is_better_than_the_search(learned):
+def test_no_method_beats_the_search(learned):
     found = evaluate(learned.frozen("short", {}), "short", Question("paper", samples=8))
     for other in ("dynamic_ms", "best_fixed_dynamic_ms", "best_fixed_by_side_dynamic_ms", "rule_dynamic_ms"):
         assert found[other] >= found["search_dynamic_ms"]
@@ -172,14 +173,14 @@ def test_numpy_aboard_and_pytorch_agree(learned):
     assert max(differences) <= 1e-5
 
 
-def test_what_is_not_allowed_is_never_learned_as_best():
+def test_forbidden_actions_are_never_targets():
     learner = FlyingLearner(SMALL, 5)
     for group in learner._groups:
         target = learner._target(group, torch.arange(group.env.aircraft))
         assert group.allowed.any(-1).all()
         best = target.masked_fill(~group.allowed, -torch.inf).amax(-1)
         assert (best == 0.0).all()
-        # Some radios lack a transport, some regions refuse one.
+        # Some radios lack a transport, and some regions do not allow one.
         assert not group.allowed.all()
 
 
@@ -209,7 +210,7 @@ def test_the_search_keeps_to_what_is_allowed():
     assert allowed[found].all()
 
 
-def test_settling_moves_everybody_once_a_round():
+def test_settle_lets_every_aircraft_decide_once_per_round():
     objective, _ = objective_of("paper")
     generator = torch.Generator().manual_seed(1)
     env = Env(EnvSettings(), objective, 3, 10, generator)
@@ -267,14 +268,14 @@ def test_evaluate_prints_one_object(learned, tmp_path, capsys):
         (["--sigma", "99"], "--sigma: 99 is out of range; allowed: 0 to 30"),
     ],
 )
-def test_what_evaluate_refuses(learned, tmp_path, capsys, options, words):
+def test_evaluate_refuses_wrong_options(learned, tmp_path, capsys, options, words):
     path = tmp_path / "p.safetensors"
     path.write_bytes(learned.frozen("short", {}))
     assert main(["atmc", "evaluate", "--policy", str(path), *options]) == 2
     assert words in capsys.readouterr().err
 
 
-def test_a_policy_that_is_none_is_named(tmp_path, capsys):
+def test_a_damaged_policy_file_is_named(tmp_path, capsys):
     path = tmp_path / "p.safetensors"
     assert main(["atmc", "evaluate", "--policy", str(path)]) == 2
     assert "p.safetensors: cannot be read: No such file" in capsys.readouterr().err

@@ -1,5 +1,4 @@
-"""`ground-tools atmc freeze`: what the file says of itself, and what is refused; and which policy a resumed
-run keeps."""
+"""`ground-tools atmc freeze`: the file's metadata, refused input, and the policy that a resumed run keeps."""
 
 from __future__ import annotations
 
@@ -28,7 +27,7 @@ KEYS = ("dynamic_ms", "best_fixed_dynamic_ms", "rule_dynamic_ms", "search_dynami
 
 
 def train(root, algorithm, text):
-    """A tiny run; its folder."""
+    """Train a tiny run. Returns its folder."""
     root.mkdir(exist_ok=True)
     config = root / f"{algorithm}.toml"
     config.write_text(text)
@@ -42,7 +41,7 @@ def train(root, algorithm, text):
 
 @pytest.fixture(scope="module", autouse=True)
 def _few():
-    """Measures with few places and fleets."""
+    """Limit measurements to few places and fleets."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(validation, "_FLEETS", dict.fromkeys(("paper", "awareness"), ((3, 2),)))
         patch.setattr(freeze_command, "SAMPLES", {5: 1, 10: 1})
@@ -58,7 +57,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture
 def asked(monkeypatch):
-    """Nothing is measured; the files and questions that would have been, in their order."""
+    """Replace the measurement; the list of policies and questions that would have been measured, in order."""
     found = []
 
     def measure(data, name, question):
@@ -89,7 +88,7 @@ def test_a_frozen_run_is_the_policy_that_flies(folder, tmp_path, capsys):
         rows = np.array(case.rows).reshape(len(case.rows), len(NEIGHBOUR_COLUMNS))
         for policy in (made, source):
             assert policy.values(np.array(case.own), rows).tolist() == pytest.approx(case.q, abs=1e-5)
-    # Of the sizes that are measured, those that training had.
+    # Only the fleet sizes of the training are measured.
     assert list(m.results) == [f"uavs5_{key}" for key in KEYS]
     assert 0.0 < m.results["uavs5_search_dynamic_ms"] == min(m.results.values())
     printed = capsys.readouterr().out
@@ -111,7 +110,7 @@ def test_results_are_those_of_the_file(folder, tmp_path, asked):
 
 
 @pytest.mark.parametrize("price", ["0", "0.5", "10"])
-def test_the_price_of_a_switch_stands_in_the_file(price, folder, tmp_path, asked):
+def test_the_file_contains_the_switch_price(price, folder, tmp_path, asked):
     out = tmp_path / "x.safetensors"
     assert freeze(folder, out, "--switch-price", price) == 0
     assert load(out.read_bytes(), "x").metadata.switch_price == float(price)
@@ -127,7 +126,7 @@ def test_a_price_out_of_bounds_is_refused(price, folder, tmp_path, asked, capsys
     assert not asked
 
 
-def test_a_run_of_the_paper_s_is_measured_with_as_many_as_it_was_made_for(tmp_path, asked):
+def test_a_flat_policy_is_measured_with_its_own_fleet_size(tmp_path, asked):
     run = train(tmp_path, "madqn", MADQN)
     out = tmp_path / "x.safetensors"
     assert freeze(run, out) == 0
@@ -152,7 +151,7 @@ def test_a_folder_that_is_no_run_is_refused(missing, folder, tmp_path, asked, ca
     assert not out.exists()
 
 
-def test_a_damaged_policy_and_a_place_that_cannot_be_written_are_named(folder, tmp_path, asked, capsys):
+def test_a_damaged_policy_and_an_unwritable_path_are_named(folder, tmp_path, asked, capsys):
     assert freeze(folder, tmp_path / "nowhere" / "x.safetensors") == 2
     assert "nowhere/x.safetensors: cannot be written: No such file or directory" in capsys.readouterr().err
     run = tmp_path / "run"
@@ -165,7 +164,7 @@ def test_a_damaged_policy_and_a_place_that_cannot_be_written_are_named(folder, t
     assert error.count("\n") == 1
 
 
-def test_a_resumed_run_keeps_the_best_policy_of_all_its_sittings(tmp_path, monkeypatch):
+def test_a_resumed_run_keeps_the_best_policy_of_all_sessions(tmp_path, monkeypatch):
     scores = iter([5.0, 6.0, 4.0, 4.5])
     monkeypatch.setattr(FlyingLearner, "validate", lambda self: {"score": next(scores)})
     run = train(tmp_path, "flying", "episodes = 1\nupdates = 1\nfleets = [[3, 4]]")

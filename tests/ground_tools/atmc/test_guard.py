@@ -1,4 +1,4 @@
-"""`evaluate` measures a policy with the guard that it has aboard."""
+"""`evaluate` measures a policy with the guard that is used aboard."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FLEETS, AIRCRAFT = 8, 40
 
 
 def observed(heard: int) -> Observation:
-    """Random observations in which every aircraft hears so many others."""
+    """Random observations in which every aircraft hears the given number of others."""
     generator = torch.Generator().manual_seed(5)
     own = torch.rand((FLEETS, AIRCRAFT, 16), generator=generator)
     rows = torch.rand((FLEETS, AIRCRAFT, AIRCRAFT, 8), generator=generator)
@@ -32,7 +32,7 @@ def chosen(heard: int, *, guarded: bool) -> list[tuple[int, int, int]]:
 
 
 @pytest.mark.parametrize("heard", [0, 1, CROWD - 1])
-def test_who_hears_few_sends_the_fixed_set_at_least(heard: int) -> None:
+def test_with_few_neighbours_the_guard_sends_at_least_the_fixed_set(heard: int) -> None:
     assert all(ble4 == wifi == 10 for ble4, _, wifi in chosen(heard, guarded=True))
     assert any(ble4 < 10 or wifi < 10 for ble4, _, wifi in chosen(heard, guarded=False))
 

@@ -1,4 +1,4 @@
-"""Algorithm 1 in its details, and what holds for every algorithm."""
+"""Details of Algorithm 1, and properties of every algorithm."""
 
 from __future__ import annotations
 
@@ -72,7 +72,8 @@ def test_target_looks_one_step_ahead():
 
 
 def test_an_update_moves_to_the_target_worked_out_by_hand():
-    """One network without hidden layers, one experience: the step of plain gradient descent, by hand."""
+    """One network without hidden layers and one experience: a step of plain gradient descent, computed by
+    hand."""
     learner = tiny("madqn-shared")
     learner.network = Stack(1, (learner._task.inputs, 30), learner._generator)
     learner.target = copy.deepcopy(learner.network)
@@ -109,7 +110,8 @@ def test_nothing_is_learned_before_the_buffer_is_full():
 
 
 def test_a_stacked_update_is_that_of_ten_networks():
-    """Ten modules of PyTorch with ten Adams, the same batches, three updates in a row."""
+    """The reference is ten PyTorch modules with ten Adam optimisers, the same batches and three updates in a
+    row."""
     g = torch.Generator().manual_seed(1)
     stack = Stack(10, (7, 6, 5), g)
     alone = [nn.Sequential(nn.Linear(7, 6), nn.ReLU(), nn.Linear(6, 5)) for _ in range(10)]
@@ -180,7 +182,7 @@ def test_flat_rows_stand_nearest_first():
 
 
 def test_a_frozen_policy_chooses_as_the_network_does():
-    """The aircraft's NumPy, given whole observations, against PyTorch given flat ones."""
+    """The NumPy code aboard, with whole observations, is compared with PyTorch on flat ones."""
     task = PaperTask(TASK, torch.Generator().manual_seed(1))
     env = Env(EnvSettings(), task.objective, 20, 4, torch.Generator().manual_seed(2))
     stack = Stack(4, (task.inputs, 16, 30), torch.Generator().manual_seed(3))
@@ -197,7 +199,7 @@ def test_a_frozen_policy_chooses_as_the_network_does():
 
 
 def test_fixed_modes_are_measured_as_published():
-    """Wi-Fi at 10 messages, 1,871 ms within 1 %, and its mean of high density."""
+    """Wi-Fi at 10 messages has 1,871 ms within 1 %, and the published mean at high density."""
     task = PaperTask(TaskSettings(), torch.Generator().manual_seed(1))
     measured = measure(lambda seen: torch.full(seen.shape[:-1], 29), task.objective, 10, 30, 3, 5)
     found = measured.delays_ms
@@ -224,7 +226,7 @@ def test_a_resumed_run_is_the_uninterrupted_one(algorithm, tmp_path):
 
 
 @pytest.mark.parametrize("algorithm", CHANGES)
-def test_the_seed_decides(algorithm):
+def test_results_depend_on_the_seed_only(algorithm):
     one, again, other = tiny(algorithm), tiny(algorithm), tiny(algorithm, seed=2)
     assert same([one.train() for _ in range(3)], [again.train() for _ in range(3)])
     other.train()
@@ -232,7 +234,7 @@ def test_the_seed_decides(algorithm):
 
 
 @pytest.mark.parametrize("algorithm", CHANGES)
-def test_its_file_is_a_policy(algorithm):
+def test_every_algorithm_writes_a_policy_file(algorithm):
     learner = tiny(algorithm)
     data = learner.frozen("name", {"delay_ms": 1.0})
     found = policy.load(data, "name")
@@ -240,7 +242,7 @@ def test_its_file_is_a_policy(algorithm):
     assert found.metadata.results == {"delay_ms": 1.0}
 
 
-def test_all_that_ships_is_tried_here():
+def test_every_listed_algorithm_is_tested_here():
     trained = {"madqn", "madqn-shared", "maddpg", "iac"}
     assert trained == set(CHANGES) <= set(ALGORITHMS)
     assert isinstance(tiny("madqn"), Madqn)

@@ -1,5 +1,5 @@
-"""What each algorithm learns from, and which way: on a task whose best choices are known, and beside updates
-worked out one network at a time."""
+"""Learning of each algorithm: on a task whose best choices are known, and against updates that are computed
+by hand for one network at a time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ FILLED_BY_ONE = {"buffer_steps": 30, "learn_every": 31}
 
 
 class Bandit:
-    """In place of the task: 0 for each aircraft's own arm, less for all others, whatever it sees."""
+    """Replacement of the task: the reward is 0 for each aircraft's own arm and less for all others,
+    independent of the observation."""
 
     def __init__(self, settings, generator):
         self._generator = generator
@@ -44,7 +45,7 @@ class Bandit:
         return self.reset(), -lost, lost
 
     def counts(self):
-        """Share of each action in all that was done."""
+        """Share of each action in all actions taken."""
         return torch.bincount(torch.cat(self.taken), minlength=ACTIONS) / sum(map(len, self.taken))
 
 
@@ -65,7 +66,7 @@ def of(module, uavs=3, steps=20, **changes):
 
 
 def redrawn(stack, seed):
-    """Other weights and biases, in place."""
+    """Replace weights and biases by random ones, in place."""
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():
         for parameter in stack.parameters():
@@ -73,7 +74,7 @@ def redrawn(stack, seed):
 
 
 def biased(stack, logits):
-    """The same outputs whatever comes in."""
+    """Make the outputs independent of the input."""
     with torch.no_grad():
         for parameter in stack.parameters():
             parameter.zero_()
@@ -88,7 +89,7 @@ def alone(stack, n, x):
 
 
 def stepped(stack, loss, rate):
-    """Its parameters after a step of plain gradient descent."""
+    """Parameters of a stack after a step of plain gradient descent."""
     parameters = list(stack.parameters())
     gradients = torch.autograd.grad(loss, parameters)
     return [p.detach() - rate * g for p, g in zip(parameters, gradients, strict=True)]
@@ -135,8 +136,8 @@ def test_each_aircraft_finds_its_own_best_choice(module, episodes, changes):
 
 
 @pytest.mark.parametrize("module", [iac, maddpg], ids=["iac", "maddpg"])
-def test_actors_are_followed_by_chance(module):
-    """Their probabilities are those of the softmax."""
+def test_actions_are_drawn_with_the_actors_probabilities(module):
+    """The shares of the actions are the probabilities of the softmax."""
     changes = {"learning_rate": 1e-9} if module is iac else {"exploration": 0.0, **FILLED_BY_ONE}
     learner = of(module, uavs=100, steps=30, **changes)
     logits = [2.0, 1.0, 0.0, 1.0, -1.0]
@@ -161,7 +162,7 @@ def test_exploration_is_the_share_of_random_choices(rate):
     torch.testing.assert_close(learner._task.counts(), wanted, atol=0.04 if rate else 0.0, rtol=0.0)
 
 
-def test_a_q_update_looks_ahead_by_the_target_network_which_follows():
+def test_a_q_update_bootstraps_from_the_target_network_which_is_soft_updated():
     learner = of(madqn, buffer_steps=20, batch=16, soft_update=0.25)
     redrawn(learner.target, 5)
     learner._adam = torch.optim.SGD(learner.network.parameters(), lr=0.1)
@@ -186,7 +187,8 @@ def test_a_q_update_looks_ahead_by_the_target_network_which_follows():
 
 
 def test_an_entropy_bonus_evens_out_the_choices():
-    """Of actors that prefer something for no reason: all rewards are equal, and the critics know."""
+    """The actors prefer an action without a reason: all rewards are equal, and the critics have learned
+    this."""
     learner = of(iac, learning_rate=1e-2, entropy=0.1)
     learner._task.worth = 0.0
     biased(learner.actor, [2.0, 1.0, 0.0, 0.0, 0.0])
@@ -231,7 +233,8 @@ def test_an_actor_critic_update_is_worked_out_by_hand():
 
 @pytest.fixture
 def filled():
-    """A MADDPG learner with a full buffer that has learned nothing yet; the target networks are others."""
+    """A MADDPG learner with a full buffer, before its first update; its target networks differ from its
+    networks."""
     return full_maddpg(policy_gradient="gumbel", reward="standardised", entropy=1e-12, first_entropy=1e-12)
 
 
@@ -250,14 +253,14 @@ def full_maddpg(**changes):
 
 
 def drawn(logits, generator):
-    """Choices, one 1 each, and the softmax that they are drawn by."""
+    """One-hot choices, and the softmax from which they are drawn."""
     noise = -torch.empty_like(logits).exponential_(generator=generator).log()
     soft = torch.softmax(logits + noise, -1)
     return functional.one_hot(soft.argmax(-1), ACTIONS).float(), soft
 
 
 def together(seen, choice):
-    """What all see and do, (batch, fleet's row)."""
+    """Observations and actions of the whole fleet, (batch, fleet's row)."""
     return torch.cat([part for n in range(3) for part in (seen[n], choice[n])], -1)
 
 
@@ -334,8 +337,8 @@ def test_maddpg_explores_by_a_share_of_random_choices():
 
 
 class Signposts(Bandit):
-    """The best choice of each aircraft is shown by what it sees: the arm is the column of the greatest
-    number. A policy that does not look loses two choices of three."""
+    """A task in which the observation shows the best choice: the column of the greatest number. A policy that
+    ignores the observation is wrong in two of three choices."""
 
     def step(self, action):
         best = self._seen.argmax(-1)
@@ -360,8 +363,8 @@ class Signposts(Bandit):
     ],
     ids=["madqn", "iac", "maddpg"],
 )
-def test_choices_follow_what_is_seen(monkeypatch, module, episodes, changes):
-    """A learner that settles on one choice for each aircraft fails this."""
+def test_choices_depend_on_the_observation(monkeypatch, module, episodes, changes):
+    """A learner that always makes the same choice for an aircraft fails this test."""
     monkeypatch.setattr(module, "PaperTask", Signposts)
     learner = of(module, **{"hidden": (32,), "discount": 0.0} | changes)
     for _ in range(episodes):
@@ -398,7 +401,7 @@ def test_reward_is_local_and_global(task, monkeypatch, weights, wanted):
 
 
 def test_reward_is_that_of_the_fleet_before_it_moves(task):
-    """Three aircraft close to each other and one that nobody hears."""
+    """The fleet has three aircraft close to each other and one that nobody hears."""
     position = torch.tensor([[[0.0, 0, 50], [30, 0, 50], [0, 60, 50], [9000, 9000, 50]]])
     still = World(
         position,
@@ -422,13 +425,13 @@ def test_reward_is_that_of_the_fleet_before_it_moves(task):
     assert not torch.equal(task._env.world.position_m, position)
 
 
-def test_a_policy_is_measured_when_its_own_choices_are_what_it_sees(task, monkeypatch):
-    """One that goes from what all sent at random to Wi-Fi in two choices scores as Wi-Fi alone."""
+def test_measuring_starts_after_a_policy_observes_its_own_choices(task, monkeypatch):
+    """A policy that needs two choices to get from random actions to Wi-Fi scores like Wi-Fi alone."""
     few = TaskSettings(uavs=4, validation_environments=4, validation_steps=2)
     monkeypatch.setattr(task, "settings", few)
 
     def settling(seen):
-        return torch.where(seen[..., 0] > 0, 15, 29)  # from Bluetooth 4 over Bluetooth 5
+        return torch.where(seen[..., 0] > 0, 15, 29)  # from Bluetooth 4 via Bluetooth 5
 
     def wifi(seen):
         return torch.full(seen.shape[:-1], 29)

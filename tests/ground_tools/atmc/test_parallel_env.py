@@ -1,4 +1,4 @@
-"""The PettingZoo environment: its library's own tests, and that it is the batched one."""
+"""The PettingZoo environment: the library's own tests, and agreement with the batched environment."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ground_tools.atmc.env.objective import awareness_objective
 from ground_tools.atmc.env.parallel_env import AtmcParallelEnv
 
 
-def test_pettingzoo_takes_it(recwarn):
+def test_the_environment_passes_pettingzoos_tests(recwarn):
     parallel_api_test(AtmcParallelEnv(steps=20), num_cycles=60)
     assert not [str(w.message) for w in recwarn if "pettingzoo" in str(w.filename)]
 
 
-def test_the_same_seed_gives_the_same():
+def test_the_same_seed_gives_the_same_episode():
     parallel_seed_test(lambda: AtmcParallelEnv(steps=20), num_cycles=10)
 
 
@@ -52,5 +52,5 @@ def test_the_task_of_the_policy_that_flies_has_one_reward_for_all(recwarn):
 
 
 def test_an_objective_has_its_own_actions():
-    with pytest.raises(ValueError, match="give none beside it"):
+    with pytest.raises(ValueError, match="leave out both arguments"):
         AtmcParallelEnv(actions=PAPER_ACTIONS, objective=awareness_objective())

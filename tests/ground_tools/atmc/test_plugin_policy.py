@@ -1,4 +1,4 @@
-"""The policy of a plug-in is evaluated, flies in the demo and in the closed loop."""
+"""The policy of a plug-in: evaluation, demo flights, and the closed loop."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from tests.support import plugged
 
 @pytest.fixture(autouse=True)
 def site(tmp_path, monkeypatch):
-    """The policies of `plugged.POLICIES`."""
+    """Install the policies of `plugged.POLICIES`."""
     yield from plugged.installed(tmp_path, monkeypatch, "plugged_policies", plugged.policies)
 
 
-def test_as_a_decider_it_is_asked_for_each_aircraft():
+def test_the_decider_asks_the_policy_for_each_aircraft():
     objective, _ = evaluate.objective_of("awareness")
     generator = torch.Generator().manual_seed(1)
     env = Env(EnvSettings(), objective, 2, 3, generator)
@@ -41,7 +41,7 @@ def test_as_a_decider_it_is_asked_for_each_aircraft():
 
 
 @pytest.mark.usefixtures("brief")
-def test_it_is_evaluated_like_the_fixed_mode_that_it_chooses(capsys):
+def test_a_constant_policy_is_evaluated_like_its_fixed_mode(capsys):
     assert (
         main(
             [
@@ -74,12 +74,12 @@ def test_it_is_evaluated_like_the_fixed_mode_that_it_chooses(capsys):
         ("gone", "'gone': no plug-in of dmuca.policies"),
     ],
 )
-def test_what_cannot_be_evaluated_is_refused(name, words, capsys):
+def test_policies_with_other_actions_are_not_evaluated(name, words, capsys):
     assert main(["atmc", "evaluate", "--policy", f"plugin:{name}", "--samples", "1", "--uavs", "3"]) == 2
     assert words in capsys.readouterr().err
 
 
-def test_it_flies_in_the_demo():
+def test_a_plugin_policy_flies_in_the_demo():
     scenario = Scenario(
         path=(
             PathSettings(points=((0.0, -25.0, 60.0, -60.0), (8.0, 25.0, 60.0, -60.0))),
@@ -92,7 +92,7 @@ def test_it_flies_in_the_demo():
         assert flown.fallback_s == 0.0
 
 
-def test_it_flies_in_the_closed_loop(site):
+def test_a_plugin_policy_flies_in_the_closed_loop(site):
     region = shipped("config/regions/us.toml")
     args = argparse.Namespace(policy="plugin:far", region=region, seed=1, encounters=2, crowd=1)
     flights = closed_loop.flights_of(args, "sparse", ATMC)

@@ -1,4 +1,4 @@
-"""`ground-tools atmc train`: run folders, going on, stopping, and what users get wrong."""
+"""`ground-tools atmc train`: run folders, resuming, stopping, and wrong input."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_a_longer_run_is_the_same_as_one_that_was_resumed(config, tmp_path):
     _, (whole,) = train(config, tmp_path / "whole", "--episodes", "5")
     _, (part,) = train(config, tmp_path / "part", "--episodes", "3")
     assert cli.main(["atmc", "train", "--resume", str(part), "--episodes", "5"]) == 0
-    shorter = [row for row in rows(part) if row["episode"] != "3"]  # the last round of all is validated too
+    shorter = [row for row in rows(part) if row["episode"] != "3"]  # the very last round is validated too
     assert shorter == [row for row in rows(whole) if row["episode"] != "3"]
     states = [torch.load(folder / "checkpoint.pt", weights_only=True)["learner"] for folder in (whole, part)]
     assert torch.equal(states[0]["network"]["weights.0"], states[1]["network"]["weights.0"])
@@ -98,7 +98,7 @@ def test_a_longer_run_is_the_same_as_one_that_was_resumed(config, tmp_path):
     assert (part / "config.toml").read_bytes() == (whole / "config.toml").read_bytes()
 
 
-def test_rows_after_the_checkpoint_are_made_anew(config, tmp_path):
+def test_rows_after_the_checkpoint_are_replaced(config, tmp_path):
     _, (folder,) = train(config, tmp_path / "runs", "--episodes", "3")
     with (folder / "metrics.csv").open("a") as file:
         file.write("4,torn")
@@ -107,7 +107,8 @@ def test_rows_after_the_checkpoint_are_made_anew(config, tmp_path):
 
 
 def test_seeds_side_by_side(config, tmp_path, monkeypatch):
-    """In copies of this process, which have loaded PyTorch; those below are started anew."""
+    """The workers are forks of this process, which has loaded PyTorch; the tests below start new
+    processes."""
     forked = multiprocessing.get_context("fork")
     monkeypatch.setattr(multiprocessing, "get_context", lambda _method: forked)
     code, folders = train(config, tmp_path / "many", "--seeds", "1-2", "--episodes", "2")
@@ -126,7 +127,7 @@ def signalled_while_it_trains(number: signal.Signals, root: Path, runs: int) -> 
 
 
 def train_until(number: signal.Signals, config: Path, root: Path, *more: str, runs: int = 1) -> int:
-    """In this process: another one would take seconds of CPU time to load PyTorch."""
+    """Train in this process, because a new one would take seconds of CPU time to load PyTorch."""
     before = signal.signal(number, not_handled)
     try:
         threading.Thread(target=signalled_while_it_trains, args=(number, root, runs)).start()
@@ -218,8 +219,8 @@ def test_wrong_keys_of_the_set_network_are_named(text, key, tmp_path, capsys):
     assert f"{path}: {key}" in capsys.readouterr().err
 
 
-def test_several_runs_end_with_the_one_that_began_them(config, tmp_path):
-    """SIGTERM to the parent alone: the runs stop as at Ctrl-C, and none is left behind."""
+def test_parallel_runs_end_with_their_parent(config, tmp_path):
+    """Only the parent receives SIGTERM: the runs stop as after Ctrl-C, and no process is left."""
     root = tmp_path / "runs"
     assert train_until(signal.SIGTERM, config, root, "--seeds", "1-2", "--jobs", "2", runs=2) == 130
     assert multiprocessing.active_children() == []
@@ -228,7 +229,7 @@ def test_several_runs_end_with_the_one_that_began_them(config, tmp_path):
         assert done == len(rows(folder)) > 0
 
 
-def test_metrics_that_are_none_are_named(config, tmp_path, capsys):
+def test_a_damaged_metrics_file_is_named(config, tmp_path, capsys):
     _, (folder,) = train(config, tmp_path / "runs", "--episodes", "1")
     (folder / "metrics.csv").write_text("episode\nx\n")
     assert cli.main(["atmc", "train", "--resume", str(folder), "--episodes", "2"]) == 2
@@ -248,7 +249,7 @@ def test_a_damaged_checkpoint_is_named(config, tmp_path, capsys):
     assert "checkpoint.pt: cannot be read" in capsys.readouterr().err
 
 
-def test_pytorch_missing_is_said_in_one_line(monkeypatch, capsys):
+def test_missing_pytorch_is_reported_in_one_line(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "torch", None)
     for name in [name for name in sys.modules if name.startswith("ground_tools.atmc.learners.training")]:
         monkeypatch.delitem(sys.modules, name)

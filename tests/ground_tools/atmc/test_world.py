@@ -1,5 +1,5 @@
-"""Where aircraft of training are and what they hear, in numbers worked out by hand; and how the set network's
-training goes: who may send what, what is learned from, and what changes as it goes on."""
+"""Positions and reception in training, against numbers computed by hand; and the training of the set network:
+allowed actions, targets, and changes during a run."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ def world_of(position_m, velocity_mps, side_m=10_000.0):
 
 
 def pairs():
-    """Two aircraft 210 m apart: approaching at 20 m/s, departing, in formation, one of them crossing."""
+    """Pairs of aircraft 210 m apart: approaching at 20 m/s, departing, in formation, and one of them
+    crossing."""
     apart = [[1000.0, 500.0, 60.0], [1210.0, 500.0, 60.0]]
     velocity = [
         [[15.0, 0.0, 0.0], [-5.0, 0.0, 0.0]],
@@ -57,7 +58,7 @@ def pairs():
 # ---------------------------------------------------------------- places
 
 
-def test_closing_is_how_fast_distance_shrinks():
+def test_closing_speed_is_the_decrease_of_distance():
     world = pairs()
     closing = world.closing_mps(world.distance_m())
     assert closing[:, 0, 1].tolist() == [20.0, -20.0, 0.0, 0.0]
@@ -66,7 +67,7 @@ def test_closing_is_how_fast_distance_shrinks():
     assert ((before - after)[:, 0, 1] / 0.01).tolist() == pytest.approx([20.0, -20.0, 0.0, 0.0], abs=0.05)
 
 
-def test_who_approaches_matters_more(objective):
+def test_approaching_aircraft_have_more_weight(objective):
     env = Env(EnvSettings(), objective, 4, 2, torch.Generator().manual_seed(1))
     env.place(pairs())
     wanted = [0.5, 0.0625, 0.0625, 0.0625]
@@ -80,7 +81,7 @@ def test_who_approaches_matters_more(objective):
     [
         (1.0, [[90.0, 60.0, 115.0], [15.0, 49.0, 31.0]], [[-20.0, 10.0, -10.0], [20.0, -1.0, 2.0]]),
         (0.1, [[92.0, 51.0, 116.0], [3.0, 49.9, 30.8]], [[20.0, 10.0, 10.0], [-20.0, -1.0, -2.0]]),
-        # Across the small square, and one of them back again, in one step.
+        # In one step, one aircraft crosses the small square and the other crosses it and comes back.
         (11.0, [[90.0, 40.0, 45.0], [15.0, 39.0, 51.0]], [[-20.0, -10.0, 10.0], [20.0, -1.0, 2.0]]),
     ],
 )
@@ -108,8 +109,8 @@ def test_nobody_leaves_the_square():
 # ---------------------------------------------------------------- what is heard
 
 
-def test_who_is_heard_is_whom_a_message_of_the_last_three_seconds_came_from(objective):
-    """Receptions as a Poisson stream of the channel's mean delay."""
+def test_a_sender_is_heard_if_a_message_came_in_the_last_three_seconds(objective):
+    """Receptions form a Poisson stream with the channel's mean delay."""
     world = WorldSettings(sides=100.0, load=(0.0, 0.8), bluetooth_load=(0.7, 0.7))
     env = Env(EnvSettings(world=world, lossy=True), objective, 3000, 2, torch.Generator().manual_seed(1))
     env.act(torch.full_like(env.action, SET_ACTIONS.index((3, 0, 0))))
@@ -133,7 +134,8 @@ def learner_of(seed=1, **settings):
 
 
 def patterns():
-    """By region, what its law and every set of radios leave; the law alone where that is nothing."""
+    """For each region, the allowed actions with its rules and every set of radios; without the radios if none
+    is left."""
     found = []
     for law in legal_sets(SET_ACTIONS):
         kept = {tuple(law)}
@@ -146,11 +148,11 @@ def patterns():
 
 
 @pytest.mark.parametrize("masked", [0.0, 1.0])
-def test_groups_know_every_law_and_every_set_of_radios(masked):
+def test_groups_contain_all_regions_and_all_sets_of_radios(masked):
     (group,) = learner_of(fleets=((4, 500),), masked=masked)._groups
     drawn = [{tuple(each) for each in fleet} for fleet in group.allowed.tolist()]
     if masked:
-        # In half of the environments everybody's radios lack something.
+        # In half of the environments every aircraft's radios lack a transport.
         by_law = patterns()
         assert set().union(*drawn) == set().union(*by_law)
         assert all(any(fleet <= kept for kept in by_law) for fleet in drawn)
@@ -165,8 +167,8 @@ def test_groups_know_every_law_and_every_set_of_radios(masked):
 # ---------------------------------------------------------------- what is learned
 
 
-def test_whoever_hears_nobody_is_easy_to_hear():
-    """What matters to nobody is worth a tenth of a millisecond for each message a second."""
+def test_an_aircraft_that_hears_nobody_sends_as_often_as_possible():
+    """Without listeners, each message per second is worth a tenth of a millisecond."""
     learner = learner_of(fleets=((2, 3),))
     (group,) = learner._groups
     group.allowed[:] = True
@@ -178,14 +180,14 @@ def test_whoever_hears_nobody_is_easy_to_hear():
     assert (target.argmax(-1) == MOST).all()
 
 
-def test_targets_are_seconds_for_each_one_that_there_is_to_tell():
+def test_targets_are_seconds_per_aircraft_that_needs_the_information():
     learner = learner_of(fleets=((5, 16),), regret_limit_s=100.0)
     (group,) = learner._groups
     acting = torch.tensor([3, 0, 1])
     target = learner._target(group, acting)
     _, cost = difference_costs(learner._objective, group.env.air, group.env.action, acting)
     others = 0.01 + group.env.air.weight.sum(1)[:, acting]
-    # Weights from next to nothing to more than one aircraft.
+    # The weights range from almost 0 to more than one aircraft.
     assert float(others.min()) < 0.1
     assert float(others.max()) > 1.0
     price = 1e-4 * torch.tensor([float(sum(action)) for action in SET_ACTIONS])
@@ -202,7 +204,7 @@ def zero(net):
         parameter.data.zero_()
 
 
-def test_loss_counts_what_is_allowed_by_its_importance(monkeypatch):
+def test_the_loss_weights_allowed_actions_by_importance(monkeypatch):
     learner = learner_of(acting=(1.0, 1.0))
     (group,) = learner._groups
     zero(learner._net)
@@ -222,19 +224,19 @@ def test_loss_counts_what_is_allowed_by_its_importance(monkeypatch):
 
     monkeypatch.setattr(learner, "_target", target)
     monkeypatch.setattr(learner, "_importance", importance)
-    # The first one is worth as much as all others together.
+    # The first aircraft has the same weight as all others together.
     loss, _ = learner._update(group, 0.0)
     assert float(loss) == pytest.approx(50.0 * (1.0 + 9.0) / 2.0)
 
 
 @pytest.mark.parametrize("random", [0.0, 1.0])
-def test_what_is_not_allowed_is_neither_learned_nor_sent(random):
+def test_forbidden_actions_are_neither_learned_nor_sent(random):
     learner = learner_of(fleets=((4, 100),), acting=(1.0, 1.0), exploration=(random, random))
     (group,) = learner._groups
     refused = torch.zeros(len(SET_ACTIONS), dtype=torch.bool)
     refused[[3, 17, MOST]] = True
     group.allowed[:] = ~refused
-    # Whatever the network thinks of it.
+    # The network prefers the actions that are not allowed.
     learner._net.out.bias.data[refused] = 10.0
     before = learner._net.out.weight.detach().clone()
     learner.train()
@@ -265,7 +267,7 @@ def test_learning_slows_down_along_a_cosine(monkeypatch):
 
 
 @pytest.mark.parametrize(("share", "random"), [(0.0, 0.8), (0.5, 0.5), (1.0, 0.2)])
-def test_less_and_less_is_tried_at_random(share, random):
+def test_exploration_decreases(share, random):
     learner = learner_of(fleets=((4, 500),), exploration=(0.8, 0.2))
     (group,) = learner._groups
     group.allowed[:] = True
@@ -289,7 +291,7 @@ def state_of(group):
         (1.0, 0.0, [False, False, False, False]),
     ],
 )
-def test_positions_go_on_and_environments_are_drawn_anew(anew, going_on, kept):
+def test_positions_advance_or_environments_are_redrawn(anew, going_on, kept):
     learner = learner_of(fleets=((4, 20),), anew=anew, going_on=going_on)
     (group,) = learner._groups
     before = [part.clone() for part in state_of(group)]
@@ -297,7 +299,7 @@ def test_positions_go_on_and_environments_are_drawn_anew(anew, going_on, kept):
     assert [torch.equal(a, b) for a, b in zip(before, state_of(group), strict=True)] == kept
 
 
-def test_how_often_positions_go_on_and_environments_are_drawn_anew(monkeypatch):
+def test_positions_advance_and_environments_are_redrawn_with_their_probabilities(monkeypatch):
     learner = learner_of(anew=0.2, going_on=0.5)
     (group,) = learner._groups
     counts = {"reset": 0, "go_on": 0}
@@ -313,8 +315,8 @@ def test_how_often_positions_go_on_and_environments_are_drawn_anew(monkeypatch):
     assert counts["go_on"] == pytest.approx(200, abs=40)
 
 
-def test_a_group_goes_on_in_what_was_drawn_anew():
-    """Whole rounds of it: every update leaves other places, other laws and other radios."""
+def test_a_group_continues_in_its_redrawn_environments():
+    """In whole rounds, every update leaves new positions, rules and radios."""
     learner = learner_of(anew=1.0, fleets=((4, 20), (3, 20)))
     seen = [[part.clone() for part in state_of(group)] for group in learner._groups]
     learner.train()

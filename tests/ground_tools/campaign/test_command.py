@@ -1,4 +1,4 @@
-"""`ground-tools campaign run`: what it prints, what it keeps, what it refuses."""
+"""`ground-tools campaign run`: output, stored results and refused input."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def row(seed, separation_m, deviation_m=10.0, recovery_s=8.0, lost=(), alerts=()
     )
 
 
-def test_s2_stays_apart_where_the_paths_do_not(capsys):
+def test_s2_keeps_separation_although_the_paths_do_not(capsys):
     assert cli.main([*S2, "--seeds", "1-12", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["runs"], found["losses_of_separation"], found["collisions"]) == (12, 0, 0)
@@ -70,7 +70,7 @@ def test_numbers_of_a_cell():
     assert summary([row(1, 20.0)], [row(1, 20.0)])["risk_ratio"] is None
 
 
-def test_how_severe_how_long_and_for_nothing():
+def test_severity_duration_and_false_alerts():
     rows = [
         row(1, 4.0, alerts=(0, 2)),
         row(2, 9.0, recovery_s=None, alerts=(1,)),
@@ -80,7 +80,7 @@ def test_how_severe_how_long_and_for_nothing():
     found = summary(rows, unavoided)
     assert (found["mean_severity"], found["max_severity"]) == pytest.approx(((0.6 + 0.1) / 2, 0.6))
     assert (found["median_recovery_s"], found["not_recovered"]) == (8.0, 1)
-    # Only pair 2 of seed 1 would have kept apart.
+    # Only pair 2 of seed 1 would have kept its separation.
     assert (found["alerts"], found["false_alerts"], found["false_alert_share"]) == (3, 1, 1 / 3)
     never = summary([row(1, 20.0, recovery_s=None)], unavoided[:1])
     assert (never["mean_severity"], never["max_severity"]) == (None, None)
@@ -88,7 +88,7 @@ def test_how_severe_how_long_and_for_nothing():
     json.dumps(found, allow_nan=False)
 
 
-def test_what_is_kept_is_not_flown_again(tmp_path, capsys, monkeypatch):
+def test_stored_flights_are_not_flown_again(tmp_path, capsys, monkeypatch):
     out = ["--out", str(tmp_path / "kept"), "--json"]
     assert cli.main([*S2, "--seeds", "1-3", *out]) == 0
     first = json.loads(capsys.readouterr().out)
@@ -134,8 +134,8 @@ def test_cells_that_differ_have_files_that_differ(tmp_path):
     assert len({campaign.baseline(c).name for c in [cell, *others]}) == 2  # the speed
 
 
-def test_the_blind_do_not_avoid():
-    """With everybody blind, the flights are the unavoided ones."""
+def test_blind_intruders_do_not_avoid():
+    """If all aircraft are blind intruders, the flights equal those without avoidance."""
     cell = Cell(generator="crossing", aircraft=2, intruders=1.0)
     seen = campaign.fly(cell, range(1, 4))
     unavoided = campaign.fly(Cell(generator="crossing", aircraft=2, law="none", intruders=1.0), range(1, 4))
@@ -220,7 +220,7 @@ def test_columns_of_what_differs():
     assert "severity" not in tables.markdown([kept])
 
 
-def test_a_damaged_table_is_said(tmp_path):
+def test_a_damaged_table_is_reported(tmp_path):
     file = tmp_path / "table.json"
     with pytest.raises(ConfigError, match="cannot be read: No such file"):
         tables.read(file)
@@ -251,8 +251,8 @@ def test_a_fence_needs_paths_along_one_line():
         fly(Cell(generator="circle", aircraft=4, world="fence"), [1])
 
 
-def test_who_has_no_gnss_stands_still_and_is_not_heard():
-    """The others' messages of it grow old; it is late by about the loss, or has made up for it."""
+def test_an_aircraft_without_gnss_falls_behind_its_path():
+    """The aircraft without GNSS is behind its path for longer and by more than in calm conditions."""
     dark = Cell(generator="random", aircraft=4, delay_s=(1.0, 2.0), world="blackout")
     rows = fly(dark, range(1, 9))
     calm = fly(msgspec.structs.replace(dark, world="calm"), range(1, 9))

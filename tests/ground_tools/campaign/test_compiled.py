@@ -1,4 +1,4 @@
-"""The campaign's compiled functions are compiled anew when any part of them changes."""
+"""The campaign's functions are recompiled when any part of them changes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PACKAGE = "ground_tools.campaign."
 
 
 @pytest.mark.parametrize("module", [flight, outcome, powers, vehicles])
-def test_what_is_compiled_in_from_other_files_is_known(module):
+def test_the_cache_depends_on_all_compiled_files(module):
     tree = ast.parse(Path(module.__file__).read_text())
     used = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     campaign = {name.removeprefix(PACKAGE) for name in used if name.startswith(PACKAGE)} - {"compiled"}

@@ -1,4 +1,5 @@
-"""A crowd's step: the grid finds whom brute force finds, and everybody gets the companion's own answer."""
+"""A crowd's step: the grid finds the same neighbours as brute force, and the velocities are the
+companion's."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ def step(position, velocity, wish, neighbours=10, reach=REACH):
 
 
 def found_by_the_grid(position, reach):
-    """Who finds whom, shape (aircraft, aircraft)."""
+    """Whether each aircraft finds each other one with the grid, shape (aircraft, aircraft)."""
     fleet = len(position)
     c, still = crowd_of(fleet, fleet, reach), np.zeros((fleet, 3))
     c.step(position, still, still, np.zeros((fleet, 3)))
@@ -41,7 +42,7 @@ def found_by_the_grid(position, reach):
 
 
 def one_by_one(position, velocity, wish, neighbours=10, reach=REACH):
-    """Everybody against everybody, and the companion's kernels called from Python."""
+    """Reference: all pairs, with the companion's kernels called from Python."""
     new = np.zeros(position.shape)
     for i in range(len(position)):
         near = []
@@ -61,20 +62,21 @@ def one_by_one(position, velocity, wish, neighbours=10, reach=REACH):
 
 
 def aliases(rng):
-    """Far apart, and yet all in the same few cubes of the torus (5 cubes along an edge for 120 aircraft)."""
+    """Aircraft that are far apart but fall into few cubes of the torus (5 cubes along an edge for 120
+    aircraft)."""
     turn = 5 * REACH * (1.0 + 1e-6)
     return rng.uniform(0.0, 20.0, (120, 3)) + turn * rng.integers(-3, 4, (120, 3))
 
 
 def shells(rng):
-    """Pairs a hair within and without the reach, across borders of cubes."""
+    """Pairs just inside and just outside the reach, across borders of cubes."""
     first = REACH * rng.integers(-3, 3, (60, 3)) + rng.choice([-1e-12, -1e-18, 0.0, 1e-12], (60, 3))
     axis = np.arange(60) % 3
     first[np.arange(60), (axis + 1) % 3] += 1000.0 * np.arange(60)
     across = np.zeros((60, 3))
     across[np.arange(60), axis] = REACH * rng.choice([-1, 1], 60)
     first[:12], across[:12] = first[:12] * (across[:12] == 0.0), abs(across[:12])
-    first[np.arange(12), axis[:12]] = -1e-18  # so little under 0 that it is REACH away from REACH
+    first[np.arange(12), axis[:12]] = -1e-18  # so close below 0 that its distance from REACH rounds to REACH
     return np.vstack([first, first + across * (1.0 + rng.choice([-1e-15, 0.0, 1e-15], (60, 1)))])
 
 
@@ -96,7 +98,7 @@ LAYOUTS = {
 
 @pytest.mark.parametrize("reach", [4.0, REACH, 300.0])
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_the_grid_finds_whom_brute_force_finds(name, reach) -> None:
+def test_the_grid_finds_the_same_neighbours_as_brute_force(name, reach) -> None:
     position = np.ascontiguousarray(LAYOUTS[name](np.random.default_rng(2)), float)
     p = position[:, None] - position
     near = (p * p).sum(axis=2) <= reach * reach
@@ -105,7 +107,7 @@ def test_the_grid_finds_whom_brute_force_finds(name, reach) -> None:
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_the_grid_and_brute_force_say_the_same_to_the_bit(name) -> None:
+def test_the_grid_and_brute_force_agree_bit_for_bit(name) -> None:
     rng = np.random.default_rng(3)
     position = np.ascontiguousarray(LAYOUTS[name](rng), float)
     velocity, wish = rng.normal(0.0, 1.0, position.shape), rng.normal(0.0, 1.0, position.shape)
@@ -119,7 +121,7 @@ def test_the_grid_and_brute_force_say_the_same_to_the_bit(name) -> None:
 
 
 @pytest.mark.parametrize("name", ["random", "one cube", "lattice", "borders"])
-def test_the_order_of_the_aircraft_means_nothing(name) -> None:
+def test_the_order_of_the_aircraft_does_not_matter(name) -> None:
     rng = np.random.default_rng(4)
     position = np.ascontiguousarray(LAYOUTS[name](rng), float)
     velocity, wish = rng.integers(-1, 2, position.shape).astype(float), rng.normal(0.0, 1.0, position.shape)
@@ -129,8 +131,8 @@ def test_the_order_of_the_aircraft_means_nothing(name) -> None:
         np.testing.assert_array_equal(step(position[order], velocity[order], wish[order]), new[order])
 
 
-def test_the_same_crowd_serves_again() -> None:
-    """Nothing of one step is left for the next."""
+def test_a_crowd_can_be_reused() -> None:
+    """No state is left from one step to the next."""
     rng = np.random.default_rng(5)
     position, velocity, wish = rng.uniform(0.0, 60.0, (120, 3)), *rng.normal(0.0, 1.0, (2, 120, 3))
     again = crowd_of(120)
@@ -140,8 +142,9 @@ def test_the_same_crowd_serves_again() -> None:
     np.testing.assert_array_equal(new, step(position, velocity, wish))
 
 
-def test_a_fast_one_from_afar_is_kept() -> None:
-    """Sixteen fly along nearby; the nearest ten would leave the one out that comes head-on from 55 m."""
+def test_a_fast_distant_neighbour_is_kept() -> None:
+    """Sixteen aircraft fly along nearby. The nearest ten would not include the one that comes head-on from 55
+    m."""
     ring = np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False)
     beside = np.column_stack([np.zeros(16), 8.0 * np.cos(ring), 8.0 * np.sin(ring)])
     position = np.vstack([[0.0, 0.0, 0.0], beside, [55.0, 0.0, 0.0]])
@@ -157,7 +160,7 @@ def test_a_fast_one_from_afar_is_kept() -> None:
 
 
 def test_urgency_is_the_time_to_conflict() -> None:
-    """Bisected by `closest`: the first time at which the distance is R."""
+    """Compared with the first time at which the distance is R, found by bisection."""
     rng = np.random.default_rng(6)
     meeting = 0
     for _ in range(2000):
@@ -210,7 +213,7 @@ def test_a_crowd_crosses_a_sphere_and_stays_apart() -> None:
 
 @pytest.mark.parametrize("which", range(3))
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_is_refused(which, value) -> None:
+def test_values_that_are_not_finite_are_refused(which, value) -> None:
     state = np.zeros((3, 4, 3))
     state[0, :, 0] = np.arange(4) * 10.0
     state[which, 2, 1] = value

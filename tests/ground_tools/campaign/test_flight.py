@@ -1,4 +1,4 @@
-"""The campaign's flights: the law is the aircraft's, vehicles and messages are what they are said to be."""
+"""The campaign's flights: the law is that of the aircraft, and vehicles and messages are as documented."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def fly(times, points, world, avoidance=DMUCA, seed=1, steps=0, kinds=None):
 
 
 def not_compiled(monkeypatch):
-    """Let the loop of a flight and what it calls of the law run as Python."""
+    """Run the loop of a flight and the parts of the law that it calls as plain Python."""
     for name in ("_fly", "loop_of", "flying_law"):
         monkeypatch.setattr(flight, name, getattr(flight, name).py_func)
 
@@ -60,7 +60,7 @@ def straight(*ways):
 
 
 class Core:
-    """Flies every decision of a flight again by `Law`, from situations and neighbours."""
+    """Repeats every decision of a flight with `Law`, from situations and neighbours."""
 
     def __init__(self, times, points, avoidance):
         self.laws = [
@@ -103,7 +103,7 @@ class Core:
 
 @pytest.mark.parametrize("law", ["dmuca", "paper"])
 def test_every_command_is_the_one_that_the_core_gives(law, monkeypatch):
-    """Bit for bit; and the compiled flight is the one that is looked into."""
+    """The commands agree bit for bit, and the compiled flight equals the recorded one."""
     avoidance = AvoidanceConfig(law=law)
     times, points = draw("crossing", 3, 5.0, 4)
     world = World(start_s=MEETING_S - 40.0, end_s=MEETING_S + 20.0, delay_s=(1.0, 2.0))
@@ -115,7 +115,7 @@ def test_every_command_is_the_one_that_the_core_gives(law, monkeypatch):
     assert core.decisions == 3 * 300
     assert result[outcome.F_MANOEUVRES] > 0.0
     assert result == pytest.approx(compiled, rel=1e-9)
-    # A second between messages, one to two on the way, and up to 0.2 s until the next decision.
+    # 1 s between messages, 1 to 2 s of delay, and up to 0.2 s until the next decision.
     assert 1.0 <= min(core.ages) < 1.2
     assert 2.5 < max(core.ages) <= 3.2
 
@@ -129,7 +129,7 @@ def test_a_fleet_that_does_not_avoid_flies_its_paths():
     assert result[outcome.F_SEPARATION] == pytest.approx(1.0 / math.sqrt(2.0), abs=0.05)
     assert result[outcome.F_TIME] == pytest.approx(30.0, abs=0.5)
     assert (result[outcome.F_FIRST], result[outcome.F_SECOND]) == (0.0, 1.0)
-    assert result[outcome.F_DEVIATION] < 2.0  # it begins and ends at rest, rounded off
+    assert result[outcome.F_DEVIATION] < 2.0  # from starting and stopping
     assert result[outcome.F_AWAY] == 0.0
     assert trace[299, 0] == pytest.approx((0.0, 0.0, -100.0), abs=1.5)
 
@@ -142,7 +142,7 @@ def test_avoiding_costs_a_detour_that_is_measured():
     assert result[outcome.F_DEVIATION] > 5.0
 
 
-def test_who_hears_nobody_avoids_nobody():
+def test_without_messages_nobody_is_avoided():
     times, points = straight((-100.0, 0.0, 100.0, 0.0), (0.0, -101.0, 0.0, 99.0))
     deaf, _ = fly(times, points, replace(EXACT, end_s=60.0, loss=1.0))
     alone, _ = fly(times, points, replace(EXACT, end_s=60.0), ALONE)
@@ -151,7 +151,7 @@ def test_who_hears_nobody_avoids_nobody():
 
 
 def test_errors_are_as_large_and_as_slow_as_asked():
-    """An aircraft that follows a wrong position is off by what it is wrong by, and slowly so."""
+    """An aircraft that follows a wrong position is off by the error, which changes slowly."""
     times, points = straight((0.0, 0.0, 0.1, 0.0), (5000.0, 0.0, 5000.1, 0.0))
     times[:, 1] = 4000.0
     world = replace(EXACT, end_s=4000.0, sigma_m=3.0, sigma_memory_s=100.0)
@@ -185,7 +185,8 @@ def test_same_seed_same_flight_other_seed_another():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_generators(name):
-    """The same for the same seed; apart at both ends; flown as planned, nearly all lose separation."""
+    """The same seed gives the same paths, the ends are far apart, and nearly all lose separation if flown as
+    planned."""
     lost = 0
     for seed in range(10):
         times, points = draw(name, 8, 5.0, seed)
@@ -208,7 +209,7 @@ def test_generators(name):
     assert lost >= 8
 
 
-def test_what_cannot_be_drawn_is_said():
+def test_errors_of_drawing_are_reported():
     with pytest.raises(ValueError, match="allowed: S1, S2, S3, head-on"):
         draw("spiral", 4, 5.0, 1)
     with pytest.raises(ValueError, match="at least 2"):
@@ -228,7 +229,7 @@ def least(world=SHORT, kinds=None, seed=1):
     return fly(*HEAD_ON, world, seed=seed, kinds=kinds)[0][outcome.F_SEPARATION]
 
 
-def test_a_silent_one_is_heard_late_and_a_liar_elsewhere():
+def test_silent_aircraft_and_liars_are_avoided_less():
     assert least() > 10.0
     silent = fly(*HEAD_ON, replace(SHORT, silent_m=15.0), kinds=[vehicles.AVOIDS, vehicles.SILENT])[0]
     assert silent[outcome.F_SEPARATION] < 10.0
@@ -236,7 +237,7 @@ def test_a_silent_one_is_heard_late_and_a_liar_elsewhere():
     assert least(replace(SHORT, lie_m=0.0), kinds=[vehicles.AVOIDS, vehicles.LIAR]) > 10.0
 
 
-def test_one_that_turns_leaves_its_way_and_one_that_is_frozen_tells_nobody():
+def test_a_turning_aircraft_leaves_its_path_within_its_speed():
     times, points = HEAD_ON
     _, straight_on = fly(times, points, SHORT, ALONE, steps=600)
     _, turning = fly(times, points, SHORT, ALONE, steps=600, kinds=[vehicles.AVOIDS, vehicles.TURNING])
@@ -246,7 +247,7 @@ def test_one_that_turns_leaves_its_way_and_one_that_is_frozen_tells_nobody():
     assert (np.linalg.norm(spans, axis=1) / 0.1).max() < 5.0 + 1e-6
 
 
-def test_wind_shakes_clocks_age_and_velocities_err(monkeypatch):
+def test_wind_clock_errors_and_velocity_errors_have_an_effect(monkeypatch):
     calm = fly(*HEAD_ON, SHORT, ALONE, steps=600)[1]
     shaken = fly(*HEAD_ON, replace(SHORT, gust_mps2=0.6), ALONE, steps=600)[1]
     assert 0.2 < np.abs(shaken - calm).max() < 15.0
@@ -261,7 +262,7 @@ def test_wind_shakes_clocks_age_and_velocities_err(monkeypatch):
     not_compiled(monkeypatch)
     fly(*HEAD_ON, replace(SHORT, end_s=20.0, clock_s=0.5), seed=3)
     ages = np.array([h[1] for h in heard if len(h) > 1])
-    assert ages.min() == 0.0  # a clock that leads: never from the future
+    assert ages.min() == 0.0  # even with a clock that is ahead, no message has a negative age
     assert ages.max() > 0.9
     own = np.array([h[0] for h in heard])
     heard.clear()
@@ -272,15 +273,15 @@ def test_wind_shakes_clocks_age_and_velocities_err(monkeypatch):
 
 def test_floor_and_ceiling_hold():
     times, points = straight((-60.0, 0.0, 60.0, 0.0), (60.0, 1.0, -60.0, 1.0))
-    points[0, 1, 2], points[1, 1, 2] = -160.0, -40.0  # through both
+    points[0, 1, 2], points[1, 1, 2] = -160.0, -40.0  # the path leads through both
     world = replace(SHORT, floor_m=70.0, ceiling_m=130.0)
     _, trace = fly(times, points, world, steps=600)
     assert -130.5 < trace[:, :, 2].min() < -128.0
     assert -72.0 < trace[:, :, 2].max() < -69.5
 
 
-def test_where_most_messages_are_lost_tracks_are_kept_by_their_gaps():
-    """Ages on which decisions are based: beyond the 15 s of a track without gaps, and up to 30 s."""
+def test_tracks_with_large_gaps_are_kept_longer():
+    """Decisions use ages beyond the 15 s of a track without gaps, up to 30 s."""
     ages_s = look(Cell(generator="S2", aircraft=5, loss=0.8), 1).log.others[..., 6]
     ages_s = ages_s[np.isfinite(ages_s)]
     assert (ages_s > 15.0).sum() > 500

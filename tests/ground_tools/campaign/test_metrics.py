@@ -1,4 +1,5 @@
-"""What a flight is reduced to, beside the same counted again from where everybody was and what they saw."""
+"""The measures of a flight, compared with the same measures recomputed from recorded positions and
+decisions."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ def least_distance(trace, i, j):
 
 
 def recovery(look, i):
-    """None: not back at the end."""
+    """Recovery time, s; None: not back at the end."""
     conflicts = look.log.time_s[look.log.conflict[:, i] != 0.0, i]
     if not len(conflicts):
         return 0.0
@@ -62,14 +63,14 @@ def test_pairs_and_recovery_are_those_of_the_flight(cell):
         lost, alerts, times = lost + len(near), alerts + len(look.row.alerts), [*times, longest]
     assert alerts > 0
     if cell is CELLS[0]:
-        assert lost > 0  # a liar is not avoided where it is
+        assert lost > 0  # a liar is not avoided at its true position
         assert any(t is not None and t > 1.0 for t in times)
     if cell is CELLS[2]:
-        assert None in times  # it trails its point for ever
+        assert None in times  # it stays behind its timed point
 
 
 def test_every_pair_has_its_number():
-    """Four that meet in one place: each pair comes too near in some flight."""
+    """Four aircraft meet in one place, and each pair loses separation in some flight."""
     cell = Cell(generator="circle", aircraft=4, law="none")
     rows = campaign.fly(cell, range(1, 20))
     assert set(itertools.chain(*(row.lost for row in rows))) == set(range(6))

@@ -1,4 +1,5 @@
-"""The law that knows everybody's future: its plans keep apart within the limits, and are flown."""
+"""The law that knows everybody's future: its plans keep separation within the limits, and aircraft fly
+them."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ def limits(number, speed=5.0):
 
 
 def straight(place, velocity):
-    """Straight and through a place at the middle of the time."""
+    """Straight paths that pass a place at the middle of the time."""
     times = (np.arange(STEPS) - STEPS // 2) * STEP_S
     return np.array(place, float) + times[:, None] * np.array(velocity, float)
 
@@ -39,7 +40,7 @@ def dense_distance(a, b):
     return np.linalg.norm(away[:-1] + share * np.diff(away, axis=0), axis=-1).min()
 
 
-def test_who_meets_nobody_keeps_its_path():
+def test_an_aircraft_that_meets_nobody_keeps_its_path():
     wanted = [straight((0, 0, 0), (3, 0, 0)), straight((0, 11.5, 0), (-3, 0, 0))]
     np.testing.assert_array_equal(planned(wanted), wanted)
 
@@ -66,7 +67,7 @@ def test_two_aircraft_share_the_least_way_round(other):
     assert np.linalg.norm(velocity, axis=2).max() < 5.0
     assert np.linalg.norm(acceleration, axis=2).max() < 1.0
     assert np.abs(velocity[:, :, 2]).max() < 2.0
-    np.testing.assert_allclose(found[:, :2], wanted[:, :2])  # it begins on its path
+    np.testing.assert_allclose(found[:, :2], wanted[:, :2])  # the aircraft begins on its path
 
 
 def test_fast_aircraft_do_not_pass_between_two_steps():
@@ -76,7 +77,7 @@ def test_fast_aircraft_do_not_pass_between_two_steps():
     assert dense_distance(*found) > 10.3
 
 
-def test_who_does_not_avoid_is_left_the_whole_way():
+def test_the_plan_yields_fully_to_aircraft_that_do_not_avoid():
     other = straight((0, 1, 0), (-3, 0, 0))
     wanted = np.array([straight((0, 0, 0), (3, 0, 0))])
     found = planned(wanted, other[None])
@@ -135,11 +136,11 @@ def test_five_aircraft_in_one_place():
         ({"intruder": "twin", "intruders": 0.5}, "cannot be combined with --intruder twin"),
     ],
 )
-def test_what_it_does_not_fly(options, said):
+def test_omniscient_refuses_unsupported_cells(options, said):
     with pytest.raises(ConfigError, match=said):
         campaign.flown_by(Cell(generator="circle", aircraft=4, law="omniscient", **options))
 
 
-def test_it_is_named_where_laws_are(capsys):
+def test_omniscient_is_listed_among_the_laws(capsys):
     assert cli.main(["campaign", "run", "--generator", "S2", "--law", "nonsense"]) == 2
     assert "fly-away, omniscient" in capsys.readouterr().err

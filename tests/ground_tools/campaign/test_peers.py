@@ -1,4 +1,4 @@
-"""The laws of others: their published equations, and how they fly in the campaign."""
+"""The laws of other projects: agreement with their published equations, and flights in the campaign."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def ned(*values):
 
 
 def up(v):
-    """East, north and up, as BlueSky and ArduPilot count."""
+    """Convert NED to east, north and up, the axes of BlueSky and ArduPilot."""
     return np.array([v[1], v[0], -v[2]])
 
 
@@ -198,7 +198,7 @@ def head_on(law, world, aside_m):
 
 @pytest.mark.parametrize("law", PEERS)
 def test_a_head_on_pair_resolves(law):
-    """Stock ORCA plans for exactly 10 m, and grazes it within what the vehicle's lag allows."""
+    """Published ORCA plans for exactly 10 m, and falls below it because of the vehicle's lag."""
     separation, trace = head_on(law, EXACT, 0.5)
     assert separation > (9.0 if law == "orca" else 10.0)
     assert np.abs(trace[-1, 0] - (90.0, 0.0, -100.0)).max() < 5.0
@@ -207,9 +207,9 @@ def test_a_head_on_pair_resolves(law):
 
 @pytest.mark.parametrize("law", [law for law in PEERS if law != "fly-away"])
 def test_an_exactly_symmetric_pair_stays_apart_and_symmetric(law):
-    """With a message in every step, both know the same of each other at the same time.
+    """With a message in every step, both aircraft have the same information about each other.
 
-    ORCA then may stop both in front of each other: it has no rule that breaks the symmetry.
+    ORCA may then stop both in front of each other, because it has no rule that breaks the symmetry.
     """
     separation, trace = head_on(law, replace(EXACT, message_s=0.1), 0.0)
     assert separation > (9.0 if law == "orca" else 10.0)
@@ -251,7 +251,7 @@ def test_every_command_is_within_the_limits():
 
 
 def test_a_changed_number_of_the_own_law():
-    """A growth of 1 is the law as it is."""
+    """A growth of 1 is the unchanged law."""
     cell = Cell(generator="S2", aircraft=3, delay_s=(2.0, 3.0))
     as_it_is = campaign.fly(cell, [1, 2])
     assert campaign.fly(replace(cell, law="dmuca:growth=1"), [1, 2]) == as_it_is
@@ -259,14 +259,14 @@ def test_a_changed_number_of_the_own_law():
 
 
 def test_a_changed_number_is_not_an_intruders():
-    """Otherwise a larger acceleration of ours would come with intruders that turn less sharply."""
+    """Otherwise a changed acceleration of ours would also change how sharply intruders turn."""
     changed = flown.flown_by("dmuca:acceleration_mps2=1", campaign.LAWS)
     as_it_is = flown.flown_by("dmuca", campaign.LAWS)
     assert changed.settings_row(LIMITS, True) != as_it_is.settings_row(LIMITS, True)
     assert changed.settings_row(LIMITS, False) == as_it_is.settings_row(LIMITS, False)
 
 
-def test_the_own_law_flies_as_it_is_kept():
+def test_the_own_law_reproduces_the_kept_flights():
     kept = tables.read(ROOT / "results" / "campaign" / "generators.json")
     for line in kept.lines[:4]:
         assert campaign.fly(line.cell, [line.first.seed]) == [line.first]

@@ -1,4 +1,4 @@
-"""The law of a plug-in flies in the campaign, and what it cannot fly there is refused."""
+"""The law of a plug-in in the campaign: flights, and refused encounters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CELL = Cell(generator="crossing", aircraft=3, delay_s=(1.0, 2.0))
 
 @pytest.fixture(autouse=True)
 def site(tmp_path, monkeypatch):
-    """The laws of `plugged.LAWS`."""
+    """Install the laws of `plugged.LAWS`."""
     monkeypatch.syspath_prepend(str(tmp_path))
     plugged.forget("plugged_laws")
     plugged.laws(tmp_path)
@@ -25,7 +25,7 @@ def site(tmp_path, monkeypatch):
     plugged.forget("plugged_laws")
 
 
-def test_one_that_follows_its_path_flies_as_without_avoidance():
+def test_a_law_that_follows_the_path_flies_as_without_avoidance():
     mine, none = (campaign.fly(replace(CELL, law=law), [2])[0] for law in ("follow", "none"))
     assert mine.separation_m == pytest.approx(none.separation_m, abs=1e-3)
     assert mine.deviation_m == pytest.approx(none.deviation_m, abs=1e-3)
@@ -40,7 +40,7 @@ def test_a_class_of_a_module_flies_as_the_plug_in_of_that_class():
     assert by_module.deviation_m == by_name.deviation_m
 
 
-def test_one_that_avoids_flies_otherwise(capsys):
+def test_a_law_that_avoids_changes_the_flight(capsys):
     options = [
         "campaign",
         "run",
@@ -58,7 +58,7 @@ def test_one_that_avoids_flies_otherwise(capsys):
     assert found["min_separation_m"] > found["unavoided_median_min_separation_m"] + 1.0
 
 
-def test_one_that_fails_ends_the_campaign(capsys):
+def test_a_law_that_fails_ends_the_campaign(capsys):
     options = [
         "campaign",
         "run",
@@ -87,7 +87,7 @@ def test_one_that_fails_ends_the_campaign(capsys):
         (["--worst", "1"], "--worst cannot be combined with --law aside"),
     ],
 )
-def test_what_it_cannot_fly_is_refused(options, words, capsys):
+def test_cells_that_a_plugin_law_cannot_fly_are_refused(options, words, capsys):
     command = [
         "campaign",
         "run",

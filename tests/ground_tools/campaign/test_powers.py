@@ -1,4 +1,4 @@
-"""Signal strength in the campaign: what is measured, that the companion weighs it, and what it changes."""
+"""Signal strength in the campaign: the measurement, the companion's evaluation, and the effect."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WORLD = World(signal=True, delay_s=(0.0, 0.0)).conditions(0.2)
 
 
 def two(position, world=WORLD):
-    """Two aircraft of which the first one avoids, and a message of the second one that arrives at time 0."""
+    """Two aircraft. The first one avoids, and a message of the second arrives at time 0."""
     craft = vehicles.on_the_ground(2, world)
     craft.position[1] = position
     craft.arrival[0, 1, 0] = 0.0
@@ -50,7 +50,7 @@ def test_the_power_is_that_of_the_channel_model() -> None:
 
 
 def test_links_differ_by_power_and_shadowing() -> None:
-    """The links of one sender share its power: their covariance is its variance."""
+    """All links of a sender share its power, so their covariance is the variance of that power."""
     links = np.array([powers.unmeasured(np.random.default_rng(n), WORLD, 3).link_db for n in range(3000)])
     assert np.std(links) == pytest.approx(math.hypot(4.0, 4.0), abs=0.15)
     assert np.cov(links[:, 0, 2], links[:, 1, 2])[0, 1] == pytest.approx(16.0, abs=1.5)
@@ -67,8 +67,8 @@ def test_nothing_is_weighed_from_afar_or_before_the_first_message_is_known() -> 
         assert math.isinf(state.covariance[0, 1, 0])
 
 
-def test_it_is_weighed_as_aboard(monkeypatch) -> None:
-    """Bit for bit: the companion's `SignalWitness` is given each power that the campaign weighs."""
+def test_powers_are_weighed_as_aboard(monkeypatch) -> None:
+    """Agrees bit for bit with the companion's `SignalWitness`, given each power that the campaign weighs."""
     witness, state = SignalWitness(), powers.unmeasured(np.random.default_rng(3), WORLD, 2)
     now, weighed = 0.0, 0
 
@@ -98,7 +98,7 @@ def test_it_is_weighed_as_aboard(monkeypatch) -> None:
 
 @pytest.mark.parametrize("intruder", ["blind", "liar"])
 def test_without_signal_strength_nothing_changes(intruder) -> None:
-    """Its draws are apart from all others: while nobody is suspected, a flight is the same bit for bit."""
+    """Powers use a separate random stream: while nobody is suspected, a flight is the same bit for bit."""
     cell = replace(LIARS, intruder=intruder)
     seen, without = cells.look(cell, 1), cells.look(replace(cell, signal=False), 1)
     suspected = np.flatnonzero((seen.trace != without.trace).any(axis=(1, 2)))

@@ -1,4 +1,4 @@
-"""The worst flights as run folders: they show the very flight of the campaign."""
+"""The worst flights as run folders: each records exactly the flight of the campaign."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ def of_type(record, kind):
     return [c for step in record.steps() for c in (*step.events, *step.commands) if isinstance(c, kind)]
 
 
-def test_a_flight_that_is_looked_into_is_the_same(look):
+def test_a_recorded_flight_equals_the_unrecorded_one(look):
     assert look.row == campaign.fly(CELL, [SEED])[0]
     assert look.row.manoeuvres > 0.0
 
 
 def test_the_record_shows_what_the_law_decides(look, run):
-    """Every decision again by `Law`, from what stands in the record: the same command, wish and tracks."""
+    """`Law` repeats every decision from the record, with the same command, wanted velocity and tracks."""
     assert [record.name for record in run.aircraft] == NAMES
     logged = 0
     for i in (1, 2):
@@ -92,7 +92,7 @@ def test_the_record_shows_what_the_law_decides(look, run):
 
 
 def test_the_record_shows_where_its_commands_lead(look, run):
-    """A vehicle that flies the recorded commands, integrated here, is where the record says that it was."""
+    """Integrating a vehicle model with the recorded commands gives the recorded positions."""
     every = round(0.2 / look.world.step_s)
     for i, record in enumerate(run.aircraft):
         commands = [c.velocity_ned_mps for c in of_type(record, VelocitySetpoint)]
@@ -118,7 +118,8 @@ def test_separation_and_messages_are_those_of_the_flight(look, run):
     assert sorted([nearest.first, nearest.second]) == sorted(pair) == sorted(run.summary["closest"])
     for record in run.aircraft:
         assert len(of_type(record, Broadcast)) in (239, 240)
-        # Two senders, a message a second; few are overtaken by the next one before a decision knows them.
+        # Two senders with a message per second; few messages are replaced by the next before a decision uses
+        # them.
         assert 2 * 225 <= len(of_type(record, RemoteIdHeard)) < 2 * 240
     other = read_unavoided(run.folder)
     unavoided = campaign.fly(campaign.baseline(CELL), [SEED])[0].separation_m
@@ -126,7 +127,8 @@ def test_separation_and_messages_are_those_of_the_flight(look, run):
 
 
 def test_what_is_heard_is_where_it_was_sent(look, run):
-    """Of a message: half a quantum of height, and GNSS's error, from the sender's true place."""
+    """A message's position differs from the sender's true one by at most the GNSS error and half a height
+    quantum."""
     record = run.aircraft[1]
     new = look.log.message_s[:, 1, 2]
     times = np.unique(new[np.isfinite(new)])

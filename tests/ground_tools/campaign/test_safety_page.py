@@ -1,4 +1,4 @@
-"""docs/safety-results.md says what was flown."""
+"""docs/safety-results.md shows the stored results."""
 
 from __future__ import annotations
 

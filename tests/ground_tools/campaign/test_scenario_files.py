@@ -1,4 +1,4 @@
-"""Scenario files of others: what is read, how it is scaled and cut, and what is said of the rest."""
+"""Scenario files of other projects: reading, scaling, cutting into episodes, and messages about the rest."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def one(text):
 
 
 def at(plan, time_s):
-    """Position at a time: on straight lines between the corners, and on from the last one."""
+    """Position at a time: on straight lines between the corners, and beyond the last one."""
     times = [corner[0] for corner in plan.corners]
     if time_s > times[-1]:
         assert plan.goes_on
@@ -131,12 +131,12 @@ def test_orders_in_flight():
     assert plan.corners[-1][0] == 150.0
 
 
-def test_orders_are_followed_in_the_order_of_time_not_of_lines():
+def test_orders_are_processed_by_time_and_not_by_line():
     plan = one("00:00:30>HDG A 90\n00:00:00>CRE A,M600,0,0,0,0,10\n00:00:20>SPD A,20\n")
     assert [corner[0] for corner in plan.corners] == [0.0, 20.0, 30.0]
 
 
-def test_lines_go_on_behind_a_backslash_and_arguments_may_be_empty():
+def test_backslashes_continue_lines_and_arguments_may_be_empty():
     plan = one("00:00:00>CRE A,M600,\\\n0,0,0,0,10\n00:00:00>ADDWPT A 0.01,0,,20\n")
     assert plan.corners[-1][1:] == pytest.approx((0.01 * DEGREE_M, 0.0, 0.0))
     assert plan.velocity[0] == pytest.approx(20.0 * KNOT)
@@ -164,7 +164,7 @@ def test_lines_go_on_behind_a_backslash_and_arguments_may_be_empty():
         ("00:00:01>DEFWPT HERE there 1", "DEFWPT: place"),
     ],
 )
-def test_what_is_not_understood_is_named_and_changes_nothing(line, name):
+def test_input_that_is_not_understood_is_counted_and_ignored(line, name):
     text = "00:00:00>CRE A,M600,0,0,0,0,10\n"
     plain, found = bluesky.parse(text), bluesky.parse(f"{text}{line}\n{line}\n")
     assert found.skipped == {name: 2}
@@ -221,7 +221,7 @@ def test_a_scaled_file_keeps_its_shape_in_protected_zones(tmp_path):
     begin, end = episode.points[:, 0], episode.points[:, -1]
     far = DEGREE_M / 9260.0 * 25.0
     assert np.linalg.norm(begin[0] - begin[1]) == pytest.approx(far, rel=1e-6)
-    # They meet in the middle and go on for as long as they came.
+    # They meet in the middle of the flight.
     np.testing.assert_allclose(begin, end[::-1], atol=0.1)
     assert episode.times[0, -1] == pytest.approx(far / 3.75, rel=1e-3)
     np.testing.assert_allclose(episode.points[:, :, 2], -HEIGHT_M)
@@ -242,11 +242,11 @@ SMALL = """\
 00:10:00>DEL B
 00:10:00>DEL LATE
 """
-"""Small aircraft. A flies to the east along the equator and passes LATE head on, after 251 s. B crosses A's
+"""Small aircraft. A flies east along the equator and passes LATE head-on, after 251 s. B crosses A's
 way, too early for a conflict; C is far away."""
 
 
-def test_an_episode_is_what_happens_around_a_conflict(tmp_path):
+def test_an_episode_contains_the_aircraft_around_a_conflict(tmp_path):
     found = files.contents(written(tmp_path, SMALL), None, 9)
     (episode,) = found.episodes
     assert found.aircraft == 4
@@ -264,7 +264,7 @@ def test_a_conflict_of_an_aircraft_that_flies_too_shortly_is_counted(tmp_path):
     text += "00:00:00>CRE D,M600,0.6,0.6,0,300,10\n00:00:00>CRE E,M600,0.61,0.6,180,300,10\n"
     found = files.contents(written(tmp_path, text), None, 9)
     assert found.left_out == 1
-    assert len(found.episodes) == 1  # that of D and E
+    assert len(found.episodes) == 1  # the conflict of D and E
 
 
 def test_without_any_conflict_nothing_is_flown(tmp_path):
@@ -304,7 +304,7 @@ def test_aircraft_that_are_cut_out_of_a_longer_flight_neither_start_nor_stop(tmp
     assert found.row.deviation_m < 8.0  # to start takes 14 m
 
 
-def test_cells_of_files_fly_and_hang_on_their_reader(tmp_path):
+def test_cells_of_files_fly_and_depend_on_their_reader(tmp_path):
     name = files.name_of(written(tmp_path, HEAD_ON), 0, 25.0)
     cell = Cell(generator=name, aircraft=2, delay_s=(1.0, 2.0))
     (row,) = campaign.fly(cell, [1])
@@ -326,7 +326,8 @@ def test_flight_intentions_are_straight_flights_between_their_places():
     assert first.corners[0][0] == 10.0
     assert first.corners[1][0] == pytest.approx(10.0 + 0.02 * DEGREE_M / (20.0 * KNOT))
     assert first.corners[1][1] - first.corners[0][1] == pytest.approx(0.02 * DEGREE_M)
-    # The map is true in the middle of all places; a tenth of a degree of latitude away by half a percent.
+    # The map is exact in the middle of all places; a tenth of a degree of latitude away it is off by half a
+    # percent.
     wide = 0.03 * DEGREE_M * math.cos(math.radians(48.19))
     assert second.corners[1][2] - second.corners[0][2] == pytest.approx(wide, rel=0.01)
     assert not second.goes_on
@@ -342,7 +343,8 @@ def test_no_text_breaks_the_reader_of_flight_intentions(text):
 
 
 def test_episodes_of_flight_intentions(tmp_path):
-    """D1 is at the crossing after 10 + 108.1 s, D2 some 13 s later: brought together by a later departure."""
+    """D1 is at the crossing after 10 + 108.1 s, D2 about 13 s later. A later departure brings them
+    together."""
     text = INTENTIONS.replace("MP20,00:00:10", "MP20,00:00:22")
     (episode,) = files.contents(written(tmp_path, text, "flights.csv"), None, 9).episodes
     assert episode.aircraft == 2
@@ -351,7 +353,7 @@ def test_episodes_of_flight_intentions(tmp_path):
     ) == pytest.approx([20.0 * KNOT, 30.0 * KNOT], rel=0.01)
 
 
-def test_only_so_many_episodes_are_looked_for(tmp_path):
+def test_the_search_for_episodes_is_limited(tmp_path):
     text = "".join(
         f"00:00:00,{name}{i},MP20,00:{15 * i:02d}:00,"
         f'"({16.0 + far}, 48.18)","({16.1 - far}, 48.18)",1,,,,,,\n'

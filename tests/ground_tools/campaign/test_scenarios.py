@@ -56,7 +56,7 @@ def test_a_mission_passes_the_others_in_the_middle_and_leaves_their_paths_as_the
     ("name", "slowest", "fastest"),
     [("survey", 2.5, 6.0), ("shuttle", 2.5, 6.0), ("orbit", 1.9, 5.0), ("stop-and-go", 3.0, 8.0)],
 )
-def test_missions_move_as_they_say(name, slowest, fastest):
+def test_missions_move_as_documented(name, slowest, fastest):
     for seed in range(20):
         _, _, t, p = drawn(name, seed)
         speed = np.linalg.norm(np.diff(p[0], axis=0), axis=1) / np.diff(t[0])
@@ -86,7 +86,7 @@ def test_an_intruder_on_a_mission_keeps_to_the_corners_of_its_path(name):
         look = campaign.look(campaign.baseline(replace(MISSION, intruder=name)), seed)
         t = look.world.step_s * np.arange(1, len(look.trace) + 1)
         path = np.column_stack([np.interp(t, look.times[0], look.points[0, :, c]) for c in range(3)])
-        # GNSS errors, and what it overshoots corners by; limited to 1 m/s2 it strayed by up to 46 m.
+        # GNSS errors, plus the overshoot at corners. With a limit of 1 m/s^2 the deviation was up to 46 m.
         assert np.linalg.norm(look.trace[:, 0] - path, axis=1).max() < 15.0
 
 
@@ -132,7 +132,7 @@ def test_the_oncoming_lane_is_to_the_right(name, apart_m):
 
 
 @pytest.mark.parametrize(("name", "apart_m"), [("abreast-25", 25.0), ("stacked-25", 25.0), ("parking", 15.0)])
-def test_places_are_as_far_apart_as_they_say(name, apart_m):
+def test_places_have_their_documented_distances(name, apart_m):
     _, points = layouts.draw(name, 5, 5.0, 1)
     gaps = np.linalg.norm(points[:, None, -1] - points[None, :, -1], axis=2)[np.triu_indices(5, 1)]
     assert gaps.min() == pytest.approx(apart_m, abs=2.5)
@@ -150,7 +150,7 @@ def test_unknown_scenarios_are_refused(capsys):
 # ---------------------------------------------------------------- measures
 
 
-def test_changes_of_side_ignore_what_is_on_the_path():
+def test_changes_of_side_ignore_positions_on_the_path():
     assert measures._changes(np.array([0.0, 3.0, 1.0, -1.0, 2.5, -2.0, -5.0, 0.0, 4.0])) == 2
     assert measures._changes(np.array([0.0, 1.0, -1.9])) == 0
 
@@ -161,7 +161,7 @@ def test_least_distances():
     assert measures._least_distances(trace).tolist() == [8.0, 8.0, 70.0]
 
 
-def test_who_avoids_nobody_arrives_without_a_needless_deviation():
+def test_an_aircraft_that_avoids_nobody_arrives_without_needless_deviation():
     found = measures.measured(Cell(generator="parking", aircraft=5, law="none", delay_s=(1.0, 2.0)), 90001)
     assert found.end_m < measures.ARRIVED_M
     assert found.row.deviation_m < 8.0
@@ -170,14 +170,14 @@ def test_who_avoids_nobody_arrives_without_a_needless_deviation():
     assert avoiding.needless_m > found.needless_m
     assert avoiding.end_m > found.end_m
     assert found.clear_s == 0.0
-    assert avoiding.clear_s is None  # the places are too near to each other to be reached
+    assert avoiding.clear_s is None  # the places are too near to each other for the aircraft to reach them
     assert measures.figures([found, avoiding])["not_clear"] == 1
 
 
 def test_the_time_to_clear_is_from_leaving_the_plan_to_being_back_on_it():
     times = np.tile(np.arange(6.0)[:, None], (1, 2))
     gaps = np.array([[1.0, 2.0], [11.0, 3.0], [5.0, 5.0], [3.0, 12.0], [2.0, 9.0], [1.0, 1.0]])
-    assert measures._clear(times, gaps) == 2.0  # off at 1 s, and last at 3 s
+    assert measures._clear(times, gaps) == 2.0  # off the plan first at 1 s and last at 3 s
     assert measures._clear(times, np.minimum(gaps, measures.OFF_M)) == 0.0
     gaps[-1, 0] = 11.0
     assert measures._clear(times, gaps) is None

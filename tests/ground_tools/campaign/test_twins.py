@@ -1,4 +1,5 @@
-"""Flights with two of one identity: the compiled flight's world, the core's own tracks."""
+"""Flights in which two aircraft share an identity: the world of the compiled flight with the core's own
+tracks."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from ground_tools.campaign.cells import Cell
 
 THREE = Cell(generator="crossing", aircraft=3, delay_s=(1.0, 2.0), intruders=0.34)
 LOSSY = Cell(generator="circle", aircraft=5, intruders=0.2, loss=0.8)
-"""Of whose seed 9 aircraft hear nothing of each other for 6 s before they meet."""
+"""Cell in which, with seed 9, two aircraft receive nothing of each other for 6 s before they meet."""
 
 
 def same(row, other):
@@ -23,8 +24,8 @@ def same(row, other):
 
 
 @pytest.mark.parametrize("world", ["calm", "all"])
-def test_without_a_twin_it_is_the_compiled_flight(world, monkeypatch):
-    """Everybody hears the own frames besides, and takes none for another's."""
+def test_without_twins_the_flight_equals_the_compiled_one(world, monkeypatch):
+    """Every aircraft also receives its own frames, and does not mistake them for another aircraft's."""
     cell = replace(THREE, world=world)
     compiled = campaign.fly(cell, [2])[0]
     assert compiled.manoeuvres > 0.0
@@ -34,16 +35,16 @@ def test_without_a_twin_it_is_the_compiled_flight(world, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", vehicles.TWINS)
-def test_a_twin_is_avoided_as_one_with_a_name_of_its_own(kind):
+def test_a_twin_is_avoided_like_an_aircraft_with_another_name(kind):
     same(campaign.fly(replace(THREE, intruder=kind), [2])[0], campaign.fly(THREE, [2])[0])
 
 
 @pytest.mark.parametrize("kind", ["twin", "clone"])
-def test_after_a_silence_no_track_is_given_to_the_other(kind):
+def test_after_a_silence_no_track_is_assigned_to_the_wrong_aircraft(kind):
     assert campaign.fly(replace(LOSSY, intruder=kind), [9])[0].separation_m > campaign.SEPARATION_M
 
 
-def test_its_rows_hang_on_the_tracks_code(tmp_path):
+def test_rows_of_twins_depend_on_the_code_of_the_tracks(tmp_path):
     kept = [campaign.kept(tmp_path, replace(THREE, intruder=kind)) for kind in ("blind", "twin")]
     for file in kept:
         file.add([])
@@ -59,7 +60,7 @@ def test_its_rows_hang_on_the_tracks_code(tmp_path):
         (["--world", "blackout"], "--world blackout cannot be combined with"),
     ],
 )
-def test_what_a_twins_flight_cannot_do(option, message, capsys):
+def test_unsupported_options_of_twins_are_refused(option, message, capsys):
     args = ["campaign", "run", "--generator", "circle", "--intruders", "0.2", "--intruder", "own-twin"]
     assert cli.main([*args, *option]) != 0
     assert message in capsys.readouterr().err

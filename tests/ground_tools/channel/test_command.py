@@ -128,7 +128,7 @@ def test_json_lines(capsys):
     assert cli.main(["channel", "table", "--json", *QUICK, "--rates", "9,10", "--sigma", "0", "2.449"]) == 0
     out, err = capsys.readouterr()
     rows = [json.loads(line) for line in out.splitlines()]
-    assert not err  # no progress where stderr is no terminal
+    assert not err  # no progress bar, because stderr is not a terminal
     assert [list(row) for row in rows] == [KEYS] * (2 * 2 * 4)
     assert {row["sigma_db"] for row in rows} == {0.0, 2.449}
     assert {(row["mode"], row["wifi_channels"]) for row in rows} == {
@@ -224,7 +224,7 @@ def test_plot_where_nobody_is_in_range(tmp_path):
         (["--out", "{}/folder.png"], "/folder.png: cannot be written: it is a folder"),
     ],
 )
-def test_plot_refuses_what_it_cannot_show_before_it_computes(tmp_path, capsys, monkeypatch, words, what):
+def test_plot_refuses_wrong_options_before_it_computes(tmp_path, capsys, monkeypatch, words, what):
     monkeypatch.setattr(plot, "evaluate", lambda *_: pytest.fail("computed"))
     place = tmp_path / "here"
     (place / "folder.png").mkdir(parents=True)
@@ -236,7 +236,7 @@ def test_plot_refuses_what_it_cannot_show_before_it_computes(tmp_path, capsys, m
     assert [path.name for path in tmp_path.rglob("*")] == ["here", "folder.png"]
 
 
-def test_plot_without_matplotlib_or_place(tmp_path, capsys, monkeypatch):
+def test_plot_without_matplotlib_or_folder(tmp_path, capsys, monkeypatch):
     pytest.importorskip("matplotlib")
     words = ["channel", "plot", *QUICK, "--rates", "9", "--out"]
     assert cli.main([*words, str(tmp_path / "none" / "p.png")]) == 2

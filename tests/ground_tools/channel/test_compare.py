@@ -1,4 +1,4 @@
-"""The comparison of both channel models: its rows say what they claim, and the commands print them."""
+"""The comparison of both channel models: correctness of the rows, and their output."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def link(variant, mode, rate):
 @pytest.mark.parametrize(("mode", "rate"), [("ble4", 9), ("ble5", 10), ("wifi", 10), ("wifi", 8)])
 def test_under_the_same_assumptions_both_models_agree(mode, rate):
     row = link("as the equations", mode, rate)
-    # The wider of 2 % and the simulation's own error (1.5 times its interval of 95 %).
+    # The larger of 2 % and 1.5 times the simulation's 95 % interval.
     assert row.ratio == pytest.approx(1.0, abs=max(0.02, 1.5 * (row.packets_high / row.packets - 1.0)))
     assert row.packets_high / row.packets - 1.0 < 0.02
     assert row.never_heard == 0.0
@@ -45,8 +45,8 @@ def test_locked_phases_leave_pairs_that_never_hear():
     assert link("real radios", "ble4", 5).never_heard == 0.0
 
 
-def test_losses_of_independent_senders_come_out():
-    """With random delays collisions are as good as independent, as the products say."""
+def test_losses_of_independent_senders_agree():
+    """With random delays, collisions are nearly independent, as the products of the equations assume."""
     row = row_of(PAPER, EFFORT, Case("collision", "real radios", "ble4", 9, 30, 100.0))
     assert row.equations == pytest.approx(1.0 - (1.0 - 2 * 0.376 * 9 / 1000) ** 28)
     assert row.ratio == pytest.approx(1.0, abs=0.15)
@@ -56,7 +56,7 @@ def test_losses_of_independent_senders_come_out():
 
 @pytest.mark.parametrize("variant", VARIANTS["collision"])
 def test_every_variant_loses_about_as_many_packets_as_the_equations_say(variant):
-    """A few simulations; with many the command takes minutes."""
+    """Uses few simulations; with many, the command takes minutes."""
     effort = Effort(seconds=10.0, environments=1, seed=1)
     row = row_of(PAPER, effort, Case("collision", variant, "ble4", 9, 5, 100.0))
     assert row.packets == pytest.approx(row.equations, abs=0.01)
@@ -129,7 +129,7 @@ def test_tables_explain_their_columns_and_hold_no_nan(monkeypatch, capsys):
         assert f"\n{column}: " in out
 
 
-def test_what_cannot_be_done_is_said_before_the_simulation(monkeypatch, capsys, tmp_path):
+def test_errors_are_reported_before_the_simulation(monkeypatch, capsys, tmp_path):
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(compare, "compare", lambda *_: pytest.fail("simulated"))
     (tmp_path / "file").write_text("")
@@ -153,7 +153,7 @@ def test_what_cannot_be_done_is_said_before_the_simulation(monkeypatch, capsys, 
 
 
 def test_ctrl_c_ends_it_with_all_its_workers():
-    """Simulations that would take days; the terminal sends the signal to the whole group."""
+    """The simulations would take days. A terminal sends the signal to the whole process group."""
     words = ["channel", "compare", "--seconds", "86400", "--environments", "10000"]
     code = "import sys; from ground_tools.cli import main; sys.exit(main())"
     with subprocess.Popen(
@@ -174,7 +174,7 @@ def test_ctrl_c_ends_it_with_all_its_workers():
 
 
 def workers_ready(pid):
-    """How many there are that leave SIGINT to the system."""
+    """Number of child processes with the default handler for SIGINT."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     status = [Path(f"/proc/{child}/status").read_text().split() for child in children]
     caught = [int(words[words.index("SigCgt:") + 1], 16) for words in status]

@@ -1,4 +1,4 @@
-"""Fixed modes against known numbers, and what a row must not depend on."""
+"""Fixed modes: comparison with known numbers, and independence of a row from the other rows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PAPER = ChannelParameters()
 SIDES_M = (100.0, 500.0, 1000.0, 3000.0, 5000.0, 10000.0)
 BEST = {"ble4": (9,), "ble5": (10,), "wifi": (10,)}
 REFERENCE_SAMPLES = 800
-"""Taken to stand behind each of `REFERENCE_MS`, whose own Monte Carlo error is not known."""
+"""Assumed number of environments behind each of `REFERENCE_MS`, whose Monte Carlo error is not known."""
 REFERENCE_MS = {
     ("ble4", "shared", 0.0): (3131, 2974, 2252, 487, 191, 47),
     ("ble4", "shared", math.sqrt(6)): (3131, 2989, 2351, 551, 231, 57),
@@ -61,7 +61,7 @@ def test_known_delays(reference, case):
 
 
 def test_ten_aircraft_alone_in_range_of_each_other_have_known_delays_without_error(reference):
-    """At 100 m everybody hears everybody: nothing is left to chance."""
+    """At 100 m all aircraft hear each other, so there is no Monte Carlo error."""
     row = reference["ble4", "shared", 9, 100.0, 0.0]
     assert row.system_delay_se_ms == pytest.approx(0.0, abs=1e-6)
     spared = (1 - 2 * 0.376e-3 * 9) ** 8
@@ -75,7 +75,7 @@ def test_two_aircraft_meet_no_interference():
     assert row.loss == 0.0
 
 
-def test_a_row_does_not_depend_on_what_else_is_asked():
+def test_a_row_does_not_depend_on_the_other_rows():
     many = rows_of(
         sides_m=(100.0, 700.0, 3000.0),
         rates={"ble4": (1, 9), "ble5": (2, 10), "wifi": (3, 10)},
@@ -90,8 +90,8 @@ def test_a_row_does_not_depend_on_what_else_is_asked():
 
 
 @pytest.mark.parametrize("reading", ["shared", "random"])
-def test_a_row_does_not_depend_on_what_else_is_asked_in_later_batches(monkeypatch, reading):
-    """Whatever the parameters say of channels: the table has both readings."""
+def test_a_row_of_a_later_batch_does_not_depend_on_the_other_rows(monkeypatch, reading):
+    """The table has both ways to assign Wi-Fi channels, independent of the parameters."""
     monkeypatch.setattr(fixed_modes, "_LINKS_AT_ONCE", 7 * 90)
     asked = {"parameters": msgspec.structs.replace(PAPER, wifi_channels=reading), "sides_m": (2000.0,)}
     alone = rows_of(**asked, rates={"wifi": (10,)})
@@ -118,7 +118,7 @@ def test_seeds_differ_and_repeat():
     assert first[key].system_delay_ms != other[key].system_delay_ms
 
 
-def test_sides_have_draws_of_their_own():
+def test_sides_have_separate_draws():
     rows = rows_of(sides_m=(3000.0, 3000.5))
     near, far = (rows["ble4", "shared", 9, side, 0.0].system_delay_ms for side in (3000.0, 3000.5))
     assert abs(near - far) > 1.0
@@ -174,7 +174,7 @@ def test_errors_of_means_and_ratios():
     assert mean_and_error(np.array([1.0, math.inf])) == (None, None)
     # With equal counts the ratio is a mean.
     assert ratio_and_error(values, np.ones(4)) == pytest.approx(mean_and_error(values))
-    # Parts in a fixed proportion leave nothing to chance, whatever the counts.
+    # If the parts are in a fixed proportion to the counts, the error is 0.
     ratio, error = ratio_and_error(np.array([1.0, 2.0, 5.0]), np.array([2.0, 4.0, 10.0]))
     assert (ratio, error) == pytest.approx((0.5, 0.0))
     assert ratio_and_error(np.zeros(3), np.zeros(3)) == (None, None)

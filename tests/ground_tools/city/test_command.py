@@ -1,4 +1,4 @@
-"""`ground-tools city`: whole runs, that are repeated bit for bit, accounted for, kept and continued."""
+"""`ground-tools city`: whole runs are reproducible bit for bit, complete, stored and continued."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Demand: densities, patterns, and the files of others."""
+"""Demand: densities, patterns, and files of other projects."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def in_the_air(wishes: list[Wish], at_s: float) -> int:
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
-def test_the_density_is_that_which_was_asked_for(pattern: str) -> None:
+def test_the_density_is_the_requested_one(pattern: str) -> None:
     demand = Demand(pattern=pattern, per_km2=5.0, north_m=6000.0, east_m=4000.0)  # type: ignore[arg-type]
     wishes = draw(demand, 300.0, 1)
     numbers = [in_the_air(wishes, at_s) for at_s in (5.0, 100.0, 200.0, 295.0)]
@@ -52,7 +52,7 @@ def test_layers_follow_the_direction_of_flight() -> None:
         assert -wish.points[1, 2] == pytest.approx(LOWEST_M + 20.0 * layer)
 
 
-def test_the_same_seed_draws_the_same() -> None:
+def test_the_same_seed_draws_the_same_flights() -> None:
     demand = Demand(north_m=2000.0, east_m=2000.0)
     first, second, other = (draw(demand, 60.0, seed) for seed in (3, 3, 4))
     assert all(np.array_equal(a.points, b.points) for a, b in zip(first, second, strict=True))

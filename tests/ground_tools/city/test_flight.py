@@ -1,4 +1,4 @@
-"""The city flies as the campaign does: the same commands, bit for bit, and the same separations."""
+"""The city flies like the campaign: the same commands, bit for bit, and the same separations."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ground_tools.city.simulation import Result, Simulation
 AVOIDANCE = AvoidanceConfig()
 SPEED_MPS = 5.0
 BEGIN_S, LENGTH_S = 95.0, 50.0
-"""The part of an encounter that is flown: it meets at 120 s."""
+"""Part of an encounter that is flown; the aircraft meet at 120 s."""
 
 
 def encounter(kind: str, seed: int) -> tuple[Floats, Floats]:
@@ -76,7 +76,7 @@ def test_an_encounter_is_flown_as_in_the_campaign(kind: str, seed: int, delay_s:
     same, city = in_the_city(world, times, points, seed)
 
     assert np.array_equal(commands, same)
-    assert len(np.unique(commands[:, 0, 0])) > 50  # it manoeuvres
+    assert len(np.unique(commands[:, 0, 0])) > 50  # the aircraft manoeuvres
     tally = city.state.tally.flights
     assert tally[:, T_LEAST].min() == separation_m
     assert tally[:, T_GAP_MOST].max() == result[outcome.F_DEVIATION]

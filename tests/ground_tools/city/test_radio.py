@@ -1,4 +1,4 @@
-"""The city's radio: the chances are those of the channel equations, and the choices those aboard."""
+"""The city's radio: probabilities agree with the channel equations, and choices with those aboard."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ AIRCRAFT = 10
 def radio_of(
     parameters: ChannelParameters, rates: Integers, positions: Floats
 ) -> tuple[AnalyticRadio, State]:
-    """A radio that has computed the chances of aircraft at rest."""
+    """A radio that has computed the reception probabilities of aircraft at rest."""
     world, slots = World(delay_s=(0.0, 0.0)).conditions(0.2), len(positions)
     craft, air = new_fleet(slots, world), new_air(slots)
     craft.position[:], air.rates[:] = positions, rates
@@ -47,7 +47,7 @@ def radio_of(
 
 
 def mean_delay_s(radio: AnalyticRadio, state: State, rates: Integers, i: int, e: int, mode: int) -> float:
-    """Mean delay that the chance of a link stands for."""
+    """Mean delay (s) that corresponds to the probability of a link."""
     j = int(state.links.other[e])
     p = -math.expm1(float(state.links.chance[e, mode]))
     wait_s = float(radio.frames.wait_s[j]) if mode == 2 else 0.0
@@ -56,7 +56,7 @@ def mean_delay_s(radio: AnalyticRadio, state: State, rates: Integers, i: int, e:
 
 @pytest.mark.parametrize("channel", ["config/channel/paper.toml", CHANNEL])
 def test_mean_delays_are_those_of_the_equations(channel: str) -> None:
-    """The paper's ten aircraft at rest, each with a set of its own."""
+    """The paper's ten aircraft at rest, each with a different set."""
     parameters = load_parameters(shipped(channel))
     rng = np.random.default_rng(3)
     positions = draw_positions(1, AIRCRAFT, 500.0, rng)[0]
@@ -72,7 +72,7 @@ def test_mean_delays_are_those_of_the_equations(channel: str) -> None:
         (e,) = [e for e in range(start, end) if state.links.other[e] == sender]
         for mode in np.flatnonzero(carried).tolist():
             here = mean_delay_s(radio, state, rates, receiver, e, mode)
-            # The tables are interpolated, and chances are kept in single precision.
+            # The tables are interpolated, and probabilities are stored in single precision.
             assert here == pytest.approx(delays[mode], rel=0.003)
             compared += 1
     assert compared > 60
@@ -90,7 +90,7 @@ def test_draws_have_the_mean_delay_of_their_chance() -> None:
         open_s.append(float(second))
         at = float(state.links.arrival[state.links.start[1], 0])
         if math.isfinite(at):
-            # A message serves all those before it that did not arrive.
+            # A message also ends the delay of all earlier ones that did not arrive.
             delays += [at - sample for sample in open_s]
             open_s, latest = [], at
     wanted = mean_delay_s(radio, state, rates, 1, int(state.links.start[1]), 2)
@@ -100,7 +100,8 @@ def test_draws_have_the_mean_delay_of_their_chance() -> None:
 
 
 def mean_age_s(arrivals: list[tuple[float, float]], from_s: float, to_s: float) -> float:
-    """Mean age over a time, of messages that arrive and were sent at these times; NaN before the first."""
+    """Mean age over a period, from the times at which messages arrive and were sent; NaN before the first
+    message."""
     grid = np.arange(from_s, to_s, 0.02)
     newest = np.full(len(grid), np.nan)
     for at, sent in sorted(arrivals):
@@ -114,7 +115,7 @@ def mean_age_s(arrivals: list[tuple[float, float]], from_s: float, to_s: float) 
     ("row", "side_m"), [((10, 0, 0), 700.0), ((0, 10, 0), 700.0), ((0, 0, 10), 2200.0), ((10, 0, 10), 700.0)]
 )
 def test_mean_ages_are_those_of_the_packets(row: tuple[int, int, int], side_m: float) -> None:
-    """Fifty aircraft at rest, against the simulation packet by packet: within 15 %."""
+    """Fifty aircraft at rest, compared with the packet simulation: within 15 %."""
     parameters, number, length_s = load_parameters(shipped(CHANNEL)), 50, 25.0
     rng = np.random.default_rng(7)
     positions = draw_positions(1, number, side_m, rng)[0]

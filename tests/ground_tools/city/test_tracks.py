@@ -1,4 +1,4 @@
-"""A full table gives up what `companion.traffic.eviction` does; what cannot matter changes no decision."""
+"""Eviction agrees with `companion.traffic.eviction`, and neighbours that cannot matter change no decision."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def full_table(rng: np.random.Generator, spread_m: float) -> Tracks:
 
 
 def given_up_aboard(tracks: Tracks, message: list[float], who: int) -> int:
-    """Row that `eviction` gives up; NOBODY: the newcomer."""
+    """Row that `companion.traffic.eviction` gives up; NOBODY: the newcomer."""
     judgement, ranking = Judgement(AvoidanceConfig()), Ranking()
     rows = [*tracks.heard[0].tolist(), message]
     names = [*tracks.who[0].tolist(), who]
@@ -55,7 +55,7 @@ def given_up_aboard(tracks: Tracks, message: list[float], who: int) -> int:
     return NOBODY if first == MOST else first
 
 
-def test_a_full_table_gives_up_what_it_gives_up_aboard() -> None:
+def test_a_full_table_evicts_the_same_track_as_aboard() -> None:
     rng = np.random.default_rng(1)
     craft = new_fleet(1, WORLD)
     found = []
@@ -76,7 +76,7 @@ def test_a_full_table_gives_up_what_it_gives_up_aboard() -> None:
 
 @pytest.mark.parametrize("change", [8.0, math.inf])
 def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float) -> None:
-    """Random neighbours at all distances: those that `matters` leaves out make no difference."""
+    """Random neighbours at all distances. Decisions are the same without those that `matters` excludes."""
     rng = np.random.default_rng(2)
     avoidance, limits = AvoidanceConfig(), LimitsConfig(max_speed_mps=8.0)
     path = k.Path(np.array([0.0, 300.0]), np.array([[0.0, 0.0, -80.0], [2000.0, 0.0, -80.0]]))

@@ -1,4 +1,4 @@
-"""How `ground-tools fly` ends, over vehicles that are made up: nobody is left unattended in the air."""
+"""How `ground-tools fly` ends, with fake vehicles: none is left unattended in the air."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ground_tools.fly.modes import MODES
 
 
 class Flying:
-    """A vehicle that flies; what it was told."""
+    """A fake vehicle in flight, with the commands that it received."""
 
     def __init__(self, happens) -> None:
         self.name, self.system_id, self.firmware = "vehicle 1", 1, Firmware.ARDUPILOT
@@ -68,7 +68,7 @@ def test_a_signal_leaves_the_vehicle_holding(flying, number, capsys):
 
 
 @pytest.mark.usefixtures("hangup_ends")
-def test_a_terminal_that_is_gone_does_not_keep_it_from_holding(flying, monkeypatch):
+def test_the_vehicle_holds_even_if_the_terminal_is_gone(flying, monkeypatch):
     def gone(*_: object) -> None:
         raise OSError(5, "Input/output error")
 

@@ -1,4 +1,4 @@
-"""The steps over vehicles that are made up: what is done with whom, and never."""
+"""The steps with fake vehicles: which commands each vehicle receives, and which none may receive."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WAYPOINT = MissionItem(seq=1, command=16, frame=3, lat_deg=47.4, lon_deg=8.5, al
 
 
 class Made:
-    """What the steps ask of a vehicle, and what they told it."""
+    """A fake vehicle with the interface that the steps use. It records the commands in `told`."""
 
     def __init__(self, firmware: Firmware, mode: str, *, on_ground: bool = False) -> None:
         self.name = "vehicle 1"
@@ -85,7 +85,7 @@ ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4
         (PX4, "AUTO.RTL", {"AUTO.MISSION"}, [], "descends at 20.0 m and was left in AUTO.RTL"),
     ],
 )
-def test_broken_off_in_the_air(firmware, mode, ours, told, words):
+def test_interrupted_in_the_air(firmware, mode, ours, told, words):
     vehicle = Made(firmware, mode)
     vehicle.ours = frozenset(ours)
     vehicle.armed_by_us = bool(ours)
@@ -93,30 +93,30 @@ def test_broken_off_in_the_air(firmware, mode, ours, told, words):
     assert vehicle.told == told
 
 
-def test_broken_off_on_the_ground():
+def test_interrupted_on_the_ground():
     vehicle = Made(ARDUPILOT, "GUIDED", on_ground=True)
     vehicle.ours = vehicle.modes.climbing
     assert fleet_of(vehicle).make_safe() == {"vehicle 1": "is on the ground and was disarmed"}
-    # Without the 21196 in param 2 that would force it.
+    # Not forced: param 2 is not 21196.
     assert vehicle.told == [(ARM_DISARM, 0.0)]
 
 
-def test_what_was_not_armed_here_is_not_disarmed():
+def test_a_vehicle_that_we_did_not_arm_is_not_disarmed():
     vehicle = Made(ARDUPILOT, "AUTO", on_ground=True)
     vehicle.ours, vehicle.armed_by_us = frozenset({"AUTO"}), False
     fleet_of(vehicle).make_safe()
     assert vehicle.told == [FlightMode.HOLD]
 
 
-def test_an_autopilot_that_will_not_disarm_is_told_to_hold():
-    """It left the ground after its last word."""
+def test_an_autopilot_that_refuses_to_disarm_is_commanded_to_hold():
+    """It took off after its last telemetry."""
     vehicle = Made(ARDUPILOT, "GUIDED", on_ground=True)
     vehicle.ours, vehicle.refuses = vehicle.modes.climbing, True
     assert "holds" in fleet_of(vehicle).make_safe()["vehicle 1"]
     assert vehicle.told == [(ARM_DISARM, 0.0), FlightMode.HOLD]
 
 
-def test_one_that_is_silent_does_not_keep_the_others_from_being_made_safe():
+def test_a_silent_vehicle_does_not_prevent_making_the_others_safe():
     lost, heard = Made(PX4, "AUTO.MISSION"), Made(PX4, "AUTO.MISSION")
     heard.name = "vehicle 2"
     lost.ours = heard.ours = frozenset({"AUTO.MISSION"})
@@ -126,7 +126,7 @@ def test_one_that_is_silent_does_not_keep_the_others_from_being_made_safe():
     assert heard.told == [FlightMode.HOLD]
 
 
-def test_one_that_fails_in_a_way_of_its_own_does_not_either():
+def test_an_unexpected_error_does_not_prevent_making_the_others_safe():
     broken, heard = Made(PX4, "AUTO.MISSION"), Made(PX4, "AUTO.MISSION")
     heard.name = "vehicle 2"
     broken.ours = heard.ours = frozenset({"AUTO.MISSION"})
@@ -136,8 +136,8 @@ def test_one_that_fails_in_a_way_of_its_own_does_not_either():
     assert heard.told == [FlightMode.HOLD]
 
 
-def test_one_whose_mission_does_not_start_is_still_ours():
-    """It hovers where our take-off has left it."""
+def test_a_vehicle_whose_mission_does_not_start_is_made_safe():
+    """It hovers where our take-off ended, so it is commanded to hold."""
     vehicle = Made(ARDUPILOT, "GUIDED")
     vehicle.ours, vehicle.refuses = vehicle.modes.climbing, True
     fleet = fleet_of(vehicle)
@@ -166,7 +166,8 @@ def test_when_a_mission_is_flown(state, reached, answer):
 
 
 def waiting(vehicle: Made, *items: MissionItem, seq: int, landed: bool = False) -> str | None:
-    """What ends the wait for its mission at an item: the error, or None. Landed, it forgets the item."""
+    """Wait for the mission of a vehicle that is at an item. Returns the error that ended the wait, or None. A
+    landed vehicle resets its item."""
     fleet = fleet_of(vehicle)
     fleet._missions = [items]
     vehicle.on_ground, vehicle.armed = False, True
@@ -184,7 +185,7 @@ def waiting(vehicle: Made, *items: MissionItem, seq: int, landed: bool = False) 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Time that passes when it is waited for; after ten minutes of it nothing more will happen."""
+    """A simulated clock that advances in `sleep`. After ten minutes it raises TimeoutError."""
     now, end = [0.0], [600.0]
 
     def sleep(seconds: float) -> None:
@@ -197,10 +198,10 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("clock")
-def test_a_return_that_the_mission_did_not_ask_for_is_no_end_of_it():
+def test_an_rtl_outside_the_mission_does_not_complete_it():
     vehicle = Made(PX4, "AUTO.RTL")
     assert "is in AUTO.RTL, not AUTO.MISSION or OFFBOARD" in (waiting(vehicle, WAYPOINT, RTL, seq=0) or "")
-    # At the item that asks for it, it is awaited down to the ground.
+    # At the item that commands the return, the wait lasts until the landing.
     with pytest.raises(TimeoutError):
         waiting(vehicle, WAYPOINT, RTL, seq=1)
     assert waiting(vehicle, WAYPOINT, RTL, seq=1, landed=True) is None
@@ -209,7 +210,7 @@ def test_a_return_that_the_mission_did_not_ask_for_is_no_end_of_it():
 
 
 @pytest.mark.usefixtures("clock")
-def test_a_companion_may_fly_a_conflict_out():
+def test_a_companion_may_take_control_during_a_mission():
     vehicle = Made(ARDUPILOT, "GUIDED")
     with pytest.raises(TimeoutError):
         waiting(vehicle, WAYPOINT, seq=1)
@@ -225,7 +226,7 @@ def test_a_moment_in_another_mode_is_forgotten_by_the_next_step():
     fleet = fleet_of(vehicle)
     fleet._must_fly_in(vehicle, {"AUTO"})
     steps.time.sleep(60.0)
-    vehicle.mode = "GUIDED"  # As it is for a moment after it was told to land.
+    vehicle.mode = "GUIDED"  # The mode may be this for a moment after the command to land.
     with pytest.raises(VehicleError, match="is in GUIDED, not"):
         fleet.land()
     assert steps.time.monotonic() > 63.0

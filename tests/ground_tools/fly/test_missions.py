@@ -1,4 +1,4 @@
-"""Mission files and scenarios as the items that are uploaded."""
+"""Mission files and scenarios are converted to the uploaded items."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_a_wpl_row_that_is_not_understood_is_named(tmp_path, rows, words):
         missions.load(path)
 
 
-def test_what_is_no_text_or_not_there(tmp_path):
+def test_missing_and_binary_files_are_refused(tmp_path):
     (tmp_path / "m").write_bytes(b"\xff\xfe")
     with pytest.raises(ConfigError, match="byte 0 is not UTF-8"):
         missions.load(tmp_path / "m")
@@ -118,7 +118,7 @@ def test_what_is_no_text_or_not_there(tmp_path):
 
 
 def test_a_scenario_becomes_one_mission_an_aircraft_at_its_speeds():
-    """The companion's own reader of missions gives the scenario's timed path back."""
+    """The companion's own mission reader recovers the scenario's timed path."""
     scenario = load(ROOT / "config/scenarios/head_on.toml")
     turn = PathSettings(points=((0.0, 0.0, 0.0, -20.0), (10.0, 0.0, 0.0, -20.0), (20.0, 40.0, 0.0, -20.0),
                                 (30.0, 40.0, 20.0, -25.0)))  # fmt: skip
@@ -162,7 +162,7 @@ def waypoint(**changes: object) -> MissionItem:
     "changes",
     [{"frame": 6}, {"params": (2.0, 0.0, 0.0, 0.0)}, {"lat_deg": 47.4 + 1e-7}, {"alt_m": 30.01}, {"seq": 0}],
 )
-def test_what_a_vehicle_may_keep_otherwise(changes):
+def test_differences_that_a_vehicle_may_store(changes):
     assert missions.difference([waypoint()], [waypoint(**changes)]) is None
 
 
@@ -171,7 +171,7 @@ def test_what_a_vehicle_may_keep_otherwise(changes):
     [{"frame": 0}, {"params": (1.0, 1.0, 0.0, None)}, {"lat_deg": 47.4 + 5e-7}, {"alt_m": 30.1},
      {"command": 17}, {"lon_deg": None}],
 )  # fmt: skip
-def test_what_is_another_mission(changes):
+def test_differences_that_make_another_mission(changes):
     assert missions.difference([waypoint()], [waypoint(**changes)]).startswith("item 1: command 16 2.5")
 
 

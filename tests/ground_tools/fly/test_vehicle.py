@@ -1,4 +1,4 @@
-"""One vehicle, without MAVSDK: whose messages count, and who has armed it."""
+"""One vehicle, without MAVSDK: which messages count, and whether we armed it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ground_tools.fly.vehicle import ARM_DISARM, Vehicle, VehicleError
 
 @pytest.fixture
 def vehicle() -> Vehicle:
-    """One that is connected and has told nothing yet."""
+    """A connected vehicle from which nothing was received yet."""
     made = object.__new__(Vehicle)
     made.name, made.system_id, made.armed_by_us = "vehicle 1", 7, False
     made._heard, made._texts = {}, []
@@ -27,14 +27,14 @@ def heartbeat(system_id: int, component_id: int, base_mode: int) -> SimpleNamesp
 
 
 def test_only_its_own_autopilot_is_heard(vehicle):
-    """Links forward what other vehicles and ground stations send."""
+    """Links may forward messages of other vehicles and ground stations."""
     vehicle._hear(heartbeat(7, 1, 128), None)
     for system_id, component_id in ((8, 1), (255, 190), (7, 191)):
         vehicle._hear(heartbeat(system_id, component_id, 0), None)
     assert vehicle.armed
 
 
-def test_arming_without_an_answer_may_have_armed_it(vehicle, monkeypatch):
+def test_arming_without_an_ack_counts_as_armed_by_us(vehicle, monkeypatch):
     def silent(number: int, _: object) -> int:
         assert number == ARM_DISARM
         raise VehicleError("vehicle 1: COMPONENT_ARM_DISARM: TIMEOUT")
@@ -45,7 +45,7 @@ def test_arming_without_an_answer_may_have_armed_it(vehicle, monkeypatch):
     assert vehicle.armed_by_us
 
 
-def test_an_arming_that_was_refused_has_not_armed_it(vehicle, monkeypatch):
+def test_a_refused_arming_does_not_count_as_armed_by_us(vehicle, monkeypatch):
     monkeypatch.setattr(vehicle, "_acknowledged", lambda *_: 2)
     with pytest.raises(VehicleError, match="COMPONENT_ARM_DISARM was refused"):
         vehicle.arm()

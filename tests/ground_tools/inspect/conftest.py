@@ -1,4 +1,4 @@
-"""A run folder made of synthetic steps: two aircraft that cross, with everything that a record may hold."""
+"""A run folder of synthetic steps: two crossing aircraft, with everything that a record may contain."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Motion = Callable[[float], Vec3]
 
 
 def northbound(t: float) -> Vec3:
-    """Through the crossing at 30 s, at 5 m/s."""
+    """Position at a time: north through the crossing at 30 s, at 5 m/s."""
     return (5.0 * (t - 30.0), 0.0, -50.0)
 
 
@@ -131,7 +131,7 @@ def decision(frame: LocalFrame, me: Vec3, other: Vec3) -> Decision:
 def write_events(
     folder: Path, name: str, found: list[Step], radius_m: float = 5.0, start_utc_s: float | None = None
 ) -> Path:
-    """`<name>.events` in `folder`, which is made."""
+    """Write `<name>.events` into `folder`, which is created."""
     folder.mkdir(parents=True, exist_ok=True)
     config = Config(
         identity=IdentityConfig(uas_id=name),
@@ -145,7 +145,7 @@ def write_events(
 
 
 def write_truth(folder: Path, name: str, motion: Motion, period_s: float = 0.1) -> Path:
-    """`<name>.truth.csv` over the minute of `steps`."""
+    """Write `<name>.truth.csv` for the minute of `steps`."""
     rows = ["utc_s,north_m,east_m,down_m"]
     for tick in range(round(60.0 / period_s) + 1):
         north, east, down = motion(tick * period_s)
@@ -157,7 +157,8 @@ def write_truth(folder: Path, name: str, motion: Motion, period_s: float = 0.1) 
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Closest 20 / sqrt(2) m with avoidance, 2 / sqrt(2) m without. Not to be changed: see `run_folder`."""
+    """A run folder with a closest approach of 20 / sqrt(2) m with avoidance and 2 / sqrt(2) m without. Shared
+    and read-only: use `run_folder` to change it."""
     folder = tmp_path_factory.mktemp("built")
     for where, miss in ((folder, 20.0), (folder / "unavoided", 2.0)):
         write_events(where, "DMUCA001", steps(northbound, eastbound(miss)))
@@ -169,13 +170,13 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run_folder(tmp_path: Path, built: Path) -> Path:
-    """A run folder of the test's own."""
+    """A copy of the run folder that the test may change."""
     return Path(shutil.copytree(built, tmp_path / "20260101T000000Z-demo"))
 
 
 @pytest.fixture
 def made() -> SimpleNamespace:
-    """The parts that a run folder of a test's own is made of."""
+    """The functions with which a test can build its own run folder."""
     return SimpleNamespace(
         steps=steps,
         write_events=write_events,

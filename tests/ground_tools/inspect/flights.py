@@ -1,4 +1,4 @@
-"""Records of real cores: guarded missions that meet. Parts of records that a test makes itself."""
+"""Records of real cores in which guarded missions meet, and parts with which tests build records."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def inspect(*arguments: object) -> int:
 
 @functools.cache
 def guarded() -> tuple[tuple[Config, tuple[Step, ...]], ...]:
-    """ONE guards its mission and meets TWO, which only broadcasts, head on; the mission is resumed."""
+    """ONE guards its mission and meets TWO head-on, which only broadcasts. The mission is resumed."""
     sky = head_on(Firmware.ARDUPILOT)
     one = sky.aircraft[0]
     sky.until(lambda: one.state is State.AVOIDING)
@@ -39,7 +39,7 @@ def guarded() -> tuple[tuple[Config, tuple[Step, ...]], ...]:
 
 
 def write(folder: Path, config: Config, steps: Iterable[Step]) -> Path:
-    """The event record of one aircraft, in a folder that is made."""
+    """Write the event record of one aircraft into a new folder."""
     folder.mkdir(parents=True, exist_ok=True)
     name = config.identity.uas_id
     entries = (Header(aircraft=name, software="test", config=config), *steps)
@@ -49,13 +49,13 @@ def write(folder: Path, config: Config, steps: Iterable[Step]) -> Path:
 
 
 def read(folder: Path, config: Config, steps: Iterable[Step]) -> AircraftRecord:
-    """The same, read back."""
+    """Write such a record and read it back."""
     write(folder, config, steps)
     return read_run(folder).aircraft[0]
 
 
 def track(name: str = "TWO", **over: Any) -> TrackView:
-    """Head on, 200 m ahead of who flies north and 1 m above it, closing at 10 m/s in all."""
+    """A track head-on: 200 m ahead of an aircraft that flies north and 1 m above it, closing at 10 m/s."""
     values: dict[str, Any] = {
         "position_ned_m": (200.0, 0.0, -51.0),
         "velocity_ned_mps": (-5.0, 0.0, 0.0),
@@ -72,7 +72,7 @@ def track(name: str = "TWO", **over: Any) -> TrackView:
 def decision(
     *tracks: TrackView, chosen: Vec3 = (5.0, 0.0, 0.0), wanted: Vec3 = (5.0, 0.0, 0.0), **over: Any
 ) -> Decision:
-    """Of one that flies north at 5 m/s, 50 m above the origin."""
+    """Decision of an aircraft that flies north at 5 m/s, 50 m above the origin."""
     values: dict[str, Any] = {
         "origin": (HOME.lat_deg, HOME.lon_deg, HOME.alt_m),
         "position_ned_m": (0.0, 0.0, -50.0),
@@ -83,7 +83,7 @@ def decision(
 
 
 def step(now_s: float, *commands: AnyCommand, events: tuple[AnyEvent, ...] = ()) -> Step:
-    """One with a position, so that the record can be drawn."""
+    """A step with a position, so that the record can be drawn."""
     place = GlobalPosition(
         time_boot_s=now_s,
         lat_deg=HOME.lat_deg + 4.5e-5 * now_s,

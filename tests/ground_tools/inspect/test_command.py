@@ -40,7 +40,7 @@ def test_a_recording_is_written_into_the_run_and_named(
     assert f"rerun {run_folder / 'inspect.rrd'}" in out
 
 
-def test_a_recording_goes_where_it_is_told(run_folder: Path, tmp_path: Path) -> None:
+def test_save_sets_the_path_of_the_recording(run_folder: Path, tmp_path: Path) -> None:
     pytest.importorskip("rerun")
     assert inspect(run_folder, "--save", tmp_path / "x.rrd") == 0
     assert (tmp_path / "x.rrd").exists()
@@ -53,7 +53,9 @@ def test_summary_writes_no_recording(run_folder: Path, capsys: pytest.CaptureFix
     assert not (run_folder / "inspect.rrd").exists()
 
 
-def test_summary_shows_what_the_air_let_through(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_summary_shows_the_simulated_radio_channel(
+    run_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     ages = {"information_age_mean_s": 0.5, "information_age_max_s": 2.25}
     row = {"sender": "DMUCA001", "receiver": "DMUCA002", "sent": 500, "delivered": 130, **ages, "lost": 370}
     mute = {"sender": "DMUCA002", "receiver": "DMUCA001", "sent": 9, "delivered": 0, **dict.fromkeys(ages)}
@@ -65,7 +67,7 @@ def test_summary_shows_what_the_air_let_through(run_folder: Path, capsys: pytest
 
 
 @pytest.mark.parametrize("air", [3, [3], [{}], [{"sender": 1}], "x", None])
-def test_an_air_that_cannot_be_read_is_a_problem_and_no_more(
+def test_unreadable_channel_figures_are_only_a_problem(
     run_folder: Path, capsys: pytest.CaptureFixture[str], air: object
 ) -> None:
     (run_folder / "summary.json").write_text(json.dumps({"air": air}))
@@ -82,7 +84,7 @@ def test_json_is_one_object_a_line(run_folder: Path, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.parametrize("extra", [["--summary"], ["--json"], ["second"]])
-def test_save_goes_with_one_recording(run_folder: Path, extra: list[str]) -> None:
+def test_save_needs_exactly_one_recording(run_folder: Path, extra: list[str]) -> None:
     with pytest.raises(ConfigError, match="--save"):
         inspect(run_folder, *extra, "--save", "x.rrd")
 
@@ -107,7 +109,7 @@ def test_the_picture_shows_both_runs(run_folder: Path, tmp_path: Path) -> None:
     assert one.shape != both.shape or (one != both).any()
 
 
-def test_the_title_says_how_it_went(run_folder: Path) -> None:
+def test_the_title_shows_the_closest_distances(run_folder: Path) -> None:
     """Closest 20 / sqrt(2) m with avoidance, 2 / sqrt(2) m without."""
     (run_folder / "summary.json").write_text(json.dumps({"delay_s": [0.5, 2]}))
     run = read_run(run_folder)
@@ -122,12 +124,12 @@ def test_the_title_says_how_it_went(run_folder: Path) -> None:
 
 
 @pytest.mark.parametrize("summary", [{}, {"delay_s": 3}, {"delay_s": ["a", "b"]}, {"delay_s": [1.0]}])
-def test_a_run_that_does_not_say_how_late_messages_came(run_folder: Path, summary: object) -> None:
+def test_a_run_without_a_configured_delay(run_folder: Path, summary: object) -> None:
     (run_folder / "summary.json").write_text(json.dumps(summary))
     assert picture.lateness(read_run(run_folder)) == ""
 
 
-def test_the_picture_says_whose_positions_it_draws(
+def test_the_picture_names_the_kind_of_positions(
     run_folder: Path, tmp_path: Path, made: SimpleNamespace, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("matplotlib")
@@ -144,7 +146,7 @@ def test_one_aircraft_makes_no_picture(run_folder: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("name", ["no/such/folder.png", "picture.unknown"])
-def test_a_picture_that_cannot_be_written_is_said(run_folder: Path, tmp_path: Path, name: str) -> None:
+def test_an_unwritable_picture_is_reported(run_folder: Path, tmp_path: Path, name: str) -> None:
     pytest.importorskip("matplotlib")
     with pytest.raises(ConfigError, match="cannot be written"):
         draw(run_folder, "--out", tmp_path / name)

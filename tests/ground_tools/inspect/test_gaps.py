@@ -1,4 +1,4 @@
-"""Where positions are missing, no product of a run has a leg that was never flown."""
+"""If positions are missing, no output of a run has a leg over the gap."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.ground_tools.inspect.viewer.reading import Read
 
 LOG = Path(__file__).parents[2] / "data" / "ardupilot_sitl_odid_adsb.tlog.gz"
 LONGEST_LEG_M = 3.0
-"""Between two positions of this log that are not on both sides of the gap."""
+"""Bound of the distance between two consecutive positions of this log without a gap between them."""
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Flown]:
 
 
 def two_pieces(pieces: list[Floats], count: int) -> None:
-    """Check that these pieces of a line, (n, 3) in m, are the whole path but for the leg over the gap."""
+    """Check that these pieces of a line, (n, 3) in m, are the whole path except for the leg over the gap."""
     assert len(pieces) == 2
     assert sum(map(len, pieces)) == count
     legs = np.concatenate([np.linalg.norm(np.diff(piece, axis=0), axis=1) for piece in pieces])
@@ -61,7 +61,7 @@ def test_the_recording(flight: tuple[Run, Flown], tmp_path: Path):
             lat, lon, _ = ways.origin
             east_north = [pymap3d.geodetic2enu(*piece.T, 0.0, lat, lon, 0.0)[:2] for piece in pieces]
             pieces = [np.column_stack([*each, np.zeros(len(each[0]))]) for each in east_north]
-        # The pieces of the time line join: the last place of one is the first of the next.
+        # Pieces of the time line are joined: the last position of one is the first of the next.
         joined = [pieces[0]]
         for piece in pieces[1:]:
             if np.array_equal(piece[0], joined[-1][-1]):
@@ -121,7 +121,7 @@ def test_kml(flight: tuple[Run, Flown], tmp_path: Path):
     two_pieces(pieces, count)
 
 
-def test_where_positions_are_rare_their_usual_distance_is_no_gap():
+def test_the_usual_interval_of_rare_positions_is_no_gap():
     every_5_s = np.arange(0.0, 100.0, 5.0)
     assert unbroken(every_5_s, gap_s(every_5_s)) == [slice(0, 20)]
     often = np.array([0.0, 0.2, 0.4, 2.3, 2.5, 4.6, 4.8])

@@ -1,4 +1,4 @@
-"""Damaged and mixed inputs: everything that can be read is shown, and the rest is said in one line each."""
+"""Damaged and mixed inputs: everything readable is shown, and each problem is reported in one line."""
 
 import gzip
 import json
@@ -26,7 +26,7 @@ OTHER_VERSION = MAGIC[:-1] + b"3" + bytes(100)
 
 
 def write_tlog(path: Path, made: SimpleNamespace, motion: object, late_s: float = 0.0) -> Path:
-    """A minute at 10 Hz of one vehicle, as its companion would have logged it."""
+    """Write a minute of one vehicle at 10 Hz, as its companion would log it."""
     one = MavlinkWriter(1, 1)
     with path.open("wb") as stream:
         writer = TlogWriter(stream)
@@ -62,7 +62,7 @@ def test_an_aircraft_without_a_readable_event_record_is_shown_by_its_tlog(
 
 
 @pytest.mark.parametrize("content", [OTHER_VERSION, b"\x89PNG"])
-def test_one_bad_record_does_not_hide_the_good_one(run_folder: Path, content: bytes) -> None:
+def test_a_bad_record_does_not_hide_a_good_one(run_folder: Path, content: bytes) -> None:
     (run_folder / "DMUCA002.events").write_bytes(content)
     run = read_run(run_folder)
     assert [one.name for one in run.aircraft] == ["DMUCA001"]
@@ -71,7 +71,7 @@ def test_one_bad_record_does_not_hide_the_good_one(run_folder: Path, content: by
     assert len(separations(flown(run).paths)) == 0
 
 
-def test_a_folder_of_another_version_says_which(tmp_path: Path) -> None:
+def test_a_record_of_another_version_names_the_version(tmp_path: Path) -> None:
     (tmp_path / "a.events").write_bytes(OTHER_VERSION)
     with pytest.raises(ConfigError, match="format b'3'; this version reads b'4'"):
         read_run(tmp_path)
@@ -92,12 +92,12 @@ def test_the_link_of_a_companion_is_that_of_the_tlog_beside_it(
     assert one.link is not None
     (component,) = one.link.components
     assert component.frames == 601 + 2 * 61
-    # In the record's own time, which begins at 0.
+    # Times are those of the record, which begins at 0.
     assert component.seconds[:, 0].tolist() == pytest.approx(range(61), abs=1.0)
 
 
 def test_a_run_and_a_log_share_one_utc_line(run_folder: Path, tmp_path: Path, made: SimpleNamespace) -> None:
-    """The log's own clock is 30 s wrong: the vehicle's counts."""
+    """The log's own clock is wrong by 30 s, so the vehicle's clock is used."""
     path = write_tlog(tmp_path / "other.tlog", made, made.eastbound(20.0), late_s=30.0)
     (run_folder / "DMUCA002.events").unlink()
     run = together([read_run(run_folder), read_run(path)])
@@ -109,7 +109,7 @@ def test_a_run_and_a_log_share_one_utc_line(run_folder: Path, tmp_path: Path, ma
     assert time_line(run).utc_at_zero_s == pytest.approx(made.utc_s)
 
 
-def test_names_that_several_have_become_distinct(run_folder: Path, tmp_path: Path) -> None:
+def test_shared_names_become_distinct(run_folder: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(run_folder, tmp_path / "second"))
     third = Path(shutil.copytree(run_folder, tmp_path / "other" / "second"))
     names = [one.name for one in together([read_run(f) for f in (run_folder, copy, third)]).aircraft]
@@ -119,7 +119,9 @@ def test_names_that_several_have_become_distinct(run_folder: Path, tmp_path: Pat
     assert len(set(names)) == 6
 
 
-def test_a_run_that_is_given_twice_is_one(run_folder: Path, tmp_path: Path, made: SimpleNamespace) -> None:
+def test_a_run_that_is_given_twice_is_used_once(
+    run_folder: Path, tmp_path: Path, made: SimpleNamespace
+) -> None:
     link = tmp_path / "link"
     link.symlink_to(run_folder)
     run = together([read_run(run_folder), read_run(link)])
@@ -131,14 +133,16 @@ def test_a_run_that_is_given_twice_is_one(run_folder: Path, tmp_path: Path, made
     assert f"{link}: the run is given more than once and shown once" in run.problems
 
 
-def test_one_aircraft_in_two_files_is_said(run_folder: Path, tmp_path: Path, made: SimpleNamespace) -> None:
-    """The companion's record and a ground station's log, whose stamps are 0.2 s late."""
+def test_one_aircraft_in_two_files_is_reported(
+    run_folder: Path, tmp_path: Path, made: SimpleNamespace
+) -> None:
+    """The inputs are a companion's record and a ground station's log, whose time stamps are 0.2 s late."""
     path = write_tlog(tmp_path / "station.tlog", made, made.northbound, late_s=0.2)
     ways = flown(together([read_run(run_folder), read_run(path)]))
     assert [problem.split(" were ")[0] for problem in ways.problems] == ["DMUCA001 and station"]
 
 
-def test_inputs_without_a_time_in_common_are_said(
+def test_inputs_that_do_not_overlap_in_time_are_reported(
     run_folder: Path, tmp_path: Path, made: SimpleNamespace
 ) -> None:
     motion = made.northbound
@@ -165,7 +169,7 @@ def test_inputs_without_a_time_in_common_are_said(
 
 
 def test_aircraft_on_the_ground_are_not_too_close(tmp_path: Path, made: SimpleNamespace) -> None:
-    """They stand side by side until 40 s; what counts is the flight after it."""
+    """They stand side by side until 40 s; only the flight after that counts."""
 
     def beside(t: float) -> tuple[float, float, float]:
         return (0.0, 2.0 + max(t - 40.0, 0.0) * 10.0, -50.0)
@@ -186,7 +190,7 @@ def test_aircraft_on_the_ground_are_not_too_close(tmp_path: Path, made: SimpleNa
     assert closest.minimum_time_s == pytest.approx(45.05, abs=0.1)
 
 
-def test_of_several_inputs_the_good_ones_are_shown(
+def test_readable_inputs_are_shown_although_others_fail(
     run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bad = tmp_path / "x.png"
@@ -200,7 +204,7 @@ def test_of_several_inputs_the_good_ones_are_shown(
 
 
 def unreadable(folder: Path, kind: str) -> tuple[Path, str]:
-    """A path that nothing can be read from, and what is said of it."""
+    """A path from which nothing can be read, and the expected error."""
     path = folder / "x"
     match kind:
         case "fifo":
@@ -245,7 +249,7 @@ def unreadable(folder: Path, kind: str) -> tuple[Path, str]:
         *("too long", "empty folder", "empty file", "gz", "ulg", "bin"),
     ],
 )
-def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path, kind: str) -> None:
+def test_unreadable_inputs_are_reported_in_one_line(tmp_path: Path, kind: str) -> None:
     path, words = unreadable(tmp_path, kind)
     with pytest.raises(ConfigError, match=words) as error:
         read_run(path)
@@ -260,15 +264,15 @@ def test_a_folder_of_runs_names_the_newest(run_folder: Path, tmp_path: Path) -> 
     with pytest.raises(ConfigError) as refused:
         read_run(runs)
     words = str(refused.value)
-    assert "but 7 runs; name one of them; the newest: " in words
+    assert "but it contains 7 runs; give the path of one; the newest: " in words
     named = words.partition("the newest: ")[2].split(", ")
     assert named[0] == str(runs / "20260107T000000Z-demo")
     assert named == sorted(named, reverse=True)
     assert read_run(Path(named[0])).aircraft
 
 
-def test_a_folder_that_may_not_be_listed_is_said() -> None:
-    """As another user than root, to whom everything is open."""
+def test_a_folder_without_read_permission_is_reported() -> None:
+    """Runs as a user other than root, because root can read everything."""
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) / "run"
         folder.mkdir(mode=0)
@@ -284,7 +288,7 @@ def test_a_folder_that_may_not_be_listed_is_said() -> None:
                 os.seteuid(0)
 
 
-def test_what_is_odd_in_a_folder_hides_nothing_of_the_rest(run_folder: Path) -> None:
+def test_odd_files_in_a_folder_do_not_hide_the_rest(run_folder: Path) -> None:
     for name in ("y.events", "z.tlog", "DMUCA001.truth.csv", "config.toml"):
         os.mkfifo(run_folder / name)
     (run_folder / "summary.json").write_text("[" * 100_000)
@@ -301,7 +305,7 @@ def test_what_is_odd_in_a_folder_hides_nothing_of_the_rest(run_folder: Path) -> 
     assert len(incident.flown_again(run, flown(run)).scenario.path) == 2
 
 
-def test_together_is_one_run(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_together_merges_inputs_into_one_run(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert inspect(run_folder, run_folder / "unavoided", "--together", "--json") == 0
     figures = json.loads(capsys.readouterr().out)
     assert (len(figures["aircraft"]), len(figures["separations"])) == (4, 6)

@@ -1,4 +1,4 @@
-"""The figure over density: its grid, intervals, verdicts on rows made by hand, picture, and the command."""
+"""The figure over density: grid, intervals, verdicts on made-up rows, picture and command."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BY_KEY = {measure.key: measure for measure in MEASURES}
 
 
 def row(seed=1, losses=0, hours=25.0, **changes):
-    """A run by hand."""
+    """A made-up run."""
     made = Row(
         seed=seed, flights=10, arrived=5, in_the_air=5, waiting=0, not_due=0, slots=10, flight_h=hours,
         losses=losses, cruise_losses=losses // 2, collisions=0, least_m=9.0, deviation_m=4.0,
@@ -46,7 +46,8 @@ SILENT = {"age_s": None, "old": None, "unheard": None, "wifi_load": None}
 
 
 def cells(*by_density, load=0.0):
-    """Cells of rows by hand: of each density its losses a run for perfect, nobody and policy."""
+    """Cells of made-up rows: for each density the losses per run of perfect information, nobody and
+    policy."""
     found = {}
     for density, perfect, nobody, policy in by_density:
         found[Cell(load, density, "policy")] = three(policy)
@@ -89,16 +90,16 @@ def test_the_estimate_is_of_the_whole_grid():
     assert cost_s(city, "policy") == pytest.approx(1e-6 * METHODS["policy"].cost_us[1] * 1000 * 600)
 
 
-def test_what_the_edge_cuts_off():
-    """For a disc that fits: 1 - 8 r / (3 pi s) + r² / (2 pi s²), the mean overlap of a disc and a square."""
+def test_the_share_of_a_range_inside_the_area():
+    """For a disc that fits into the square, the mean overlap is 1 - 8 r / (3 pi s) + r² / (2 pi s²)."""
     for share in (0.05, 0.3, 0.9):
         exact = 1.0 - 8.0 * share / (3.0 * math.pi) + share**2 / (2.0 * math.pi)
         assert inside(share * 1000.0, 1000.0) == pytest.approx(exact, abs=2e-3)
-    # A disc that reaches beyond all of the square holds all of it, wherever its centre is.
+    # A disc larger than the square contains all of it, wherever its centre is.
     assert inside(2000.0, 1000.0) == pytest.approx(1.0 / (4.0 * math.pi), rel=0.01)
 
 
-def test_the_options_that_ask_for_a_grid():
+def test_the_options_of_a_grid():
     assert Grid().options == ""
     grid = Grid(densities=(10.0,), methods=("policy",), seeds=range(1, 3), duration_s=60.0)
     assert grid.options == " --densities 10 --methods policy --seeds 1-2 --minutes 1"
@@ -123,7 +124,7 @@ def test_a_verdict_is_that_of_the_interval_and_not_of_the_value():
     made = cells((1, 0, 1, 0), (10, 40, 900, 44), (30, 40, 900, 72), (100, 40, 900, 200))
     found = {(v.target, v.method): v for v in verdicts(made)}
     policy = found["perfect", "policy"]
-    # 1: none in either. 10: 1.1 times. 30: 1.8 times, interval around 2. 100: 5 times.
+    # Density 1: no loss in either. 10: ratio 1.1. 30: ratio 1.8, with 2 in the interval. 100: ratio 5.
     assert (policy.at("kept"), policy.at("open"), policy.at("missed")) == ([10], [1, 30], [100])
     assert policy.stops == 100
     assert "keeps the target at 10; misses it from 100 (5 times" in policy.words
@@ -135,21 +136,21 @@ def test_a_verdict_is_that_of_the_interval_and_not_of_the_value():
     assert ("prevented", "none") not in found
 
 
-def test_few_losses_tell_nothing():
+def test_few_losses_decide_nothing():
     found = {(v.target, v.method): v for v in verdicts(cells((10, 0, 1, 0)))}
     for verdict in found.values():
         assert (verdict.stops, verdict.at("kept"), verdict.at("open")) == (None, [], [10])
     assert "too few losses to tell at 10" in found["perfect", "policy"].words
 
 
-def test_many_losses_where_the_reference_has_none_are_told():
+def test_many_losses_against_a_reference_without_any_decide():
     found = {(v.target, v.method): v for v in verdicts(cells((10, 0, 900, 10)))}
     assert found["perfect", "policy"].stops == 10
-    # 30 against 0 in equal hours: the ends of their intervals, sqrt(20.24 (60 - 20.24)) / 3.689.
+    # 30 against 0 losses in equal hours: from the ends of their intervals, sqrt(20.24 (60 - 20.24)) / 3.689.
     assert "(at least 7.7 times)" in found["perfect", "policy"].words
 
 
-def test_a_miss_below_a_density_that_is_kept_is_told():
+def test_a_miss_below_a_kept_density_is_reported():
     found = {(v.target, v.method): v for v in verdicts(cells((10, 40, 900, 200), (30, 40, 900, 40)))}
     assert "order is not settled" in found["perfect", "policy"].words
 
@@ -161,7 +162,7 @@ def test_sentences_state_the_target_and_need_a_reference():
     assert "at most 0.1 times the losses of separation per flight hour of: nobody avoids" in text
     alone = {Cell(0.0, 10.0, "policy"): three(1)}
     assert verdicts(alone) == []
-    assert "it needs" in sentences([])[0]
+    assert "a method to judge and a reference" in sentences([])[0]
 
 
 # ---------------------------------------------------------------- tables and picture
@@ -203,7 +204,8 @@ def test_every_measure_has_a_panel_for_each_load():
         assert titles == [measure.title for measure in picture.SHOWN]
         first = panels[0]
         shapes = [line.get_marker() for line in first.lines]
-        # Of three methods one had losses at 1 per km²; the other two stand at the ends of their intervals.
+        # One of three methods had losses at 1 per km²; the other two are drawn at the ends of their
+        # intervals.
         assert shapes.count("v") == 2
         assert len(figure.legends[0].get_texts()) == 3
 
@@ -238,7 +240,7 @@ def test_a_small_grid_is_flown_kept_and_continued(tmp_path, capsys):
     assert "| 8 | best fixed legal set | 1 |" in (tmp_path / "table.md").read_text()
     lines = (tmp_path / runs.FILE).read_text().splitlines()
     assert len(lines) == 3
-    # An incomplete line, as a killed process leaves it, is flown again; so is what is new.
+    # An incomplete line, as a killed process leaves it, is flown again, and new cells are flown.
     (tmp_path / runs.FILE).write_text("\n".join(lines)[:-30])
     assert command(*words, "--seeds", "1-2") == 0
     told = capsys.readouterr()
@@ -250,7 +252,7 @@ def test_a_small_grid_is_flown_kept_and_continued(tmp_path, capsys):
     assert runs.sample(tmp_path / runs.FILE) == []
 
 
-def test_what_is_complete_is_shown_without_flying_and_without_matplotlib(tmp_path, capsys, monkeypatch):
+def test_complete_results_are_shown_without_flying_and_without_matplotlib(tmp_path, capsys, monkeypatch):
     grid = Grid(densities=(10.0,), methods=("policy", "perfect"), loads=(0.0,))
     file = runs.kept(tmp_path)
     file.add([])
@@ -323,7 +325,7 @@ def test_the_help_has_an_example_and_the_methods(capsys):
 
 
 def test_the_page_shows_the_kept_runs():
-    """Those of the small part that was flown; nothing is flown here."""
+    """These are the kept runs; nothing is flown here."""
     grid = Grid(aircraft=120, duration_s=60.0, settle_s=20.0, seeds=range(1, 3))
     rows = runs.rows_of(grid, runs.kept(KEPT.parent).rows)
     assert {cell: len(found) for cell, found in rows.items()} == dict.fromkeys(grid.cells(), 2)

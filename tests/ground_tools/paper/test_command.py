@@ -52,8 +52,8 @@ def test_published_delays_of_the_fixed_modes(mode, rate, samples, published):
         assert abs(c.ours_ms - c.published_ms) <= 0.05 * c.published_ms, c
 
 
-def test_what_the_model_says_of_the_published_statements(study):
-    """Those of the paper that do not come out are named here: a change of the model must not go unseen."""
+def test_published_statements_that_do_not_hold_are_the_known_ones(study):
+    """Lists the paper's statements that do not hold, so that a change of the model does not go unnoticed."""
     found = delay_rate.statements(study.rows(0.0)) + packet_loss.statements(study.rows(0.0))
     assert {s.published for s in found if not s.holds} == {
         *(f"Wi-Fi {r} jumps at rate {n}" for r in ("shared", "random") for n in (4, 7)),
@@ -113,7 +113,7 @@ def check_page(out, rows):
         assert all(float(f or "nan") == w or w is None for f, w in numbers)
 
 
-def test_one_figure_for_people_is_no_error_where_statements_fail(tmp_path, capsys, monkeypatch):
+def test_statements_that_fail_are_no_error(tmp_path, capsys, monkeypatch):
     pytest.importorskip("matplotlib")
     monkeypatch.setenv("COLUMNS", "80")
     assert cli.main(["paper", "delay-rate", "--samples", "3", "--out", str(tmp_path)]) == 0
@@ -165,7 +165,7 @@ def test_no_folder_and_no_matplotlib(tmp_path, capsys, monkeypatch):
     assert cli.main(["paper", "all", "--out", str(tmp_path / "file")]) == 2
     assert "--out: " in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    # At once: a hundred thousand environments would take minutes.
+    # Refused at once: a hundred thousand environments would take minutes.
     assert cli.main(["paper", "all", "--samples", "100000", "--out", str(tmp_path / "new")]) == 2
     assert ".[inspect]" in capsys.readouterr().err
 

@@ -1,4 +1,4 @@
-"""The figure of training: its numbers from runs made up for the purpose, and from the results that ship."""
+"""The figure of training: numbers from made-up runs and from the kept results."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ground_tools.paper.seed_means import interquartile_mean
 def run(
     algorithm: str, seed: int, *, learned_by: int = 400, failed: int = 0, delay_ms: float = 1000.0
 ) -> Run:
-    """Rewards that climb from -10 to -1 and stay."""
+    """A run whose rewards rise from -10 to -1 and stay there."""
     fleet = np.clip(np.linspace(-10.0, -10.0 + 9.0 * 1000 / learned_by, 1000), -10.0, -1.0)
     uavs = [np.clip(np.linspace(-1.0, 2.0, 100), -1.0, -1.0 if n < failed else -0.1) for n in range(10)]
     found = {"delay_ms": delay_ms, "high_ms": 2.0 * delay_ms, "low_ms": 0.0}
@@ -66,7 +66,7 @@ def test_numbers_of_a_run():
     assert binned(range(25)).tolist() == [4.5, 14.5]
 
 
-def test_statements_are_asked_of_each_seed(results):
+def test_statements_are_checked_for_each_seed(results):
     found = {s.published: s for s in statements(results)}
     assert found["MADQN-ATMC converges within 500 episodes"].holds
     assert len(found["MADQN-ATMC converges within 500 episodes"].checks) == 5
@@ -76,7 +76,7 @@ def test_statements_are_asked_of_each_seed(results):
 
 
 @pytest.mark.parametrize(("delay_ms", "holds"), [(1090.0, False), (1110.0, True)])
-def test_iac_is_asked_beside_the_worst_of_madqn(delay_ms, holds):
+def test_iac_is_compared_with_the_worst_seed_of_madqn(delay_ms, holds):
     words = "IAC does not converge to what MADQN-ATMC reaches"
     runs = [
         run("madqn", 1, delay_ms=900.0),
@@ -89,7 +89,7 @@ def test_iac_is_asked_beside_the_worst_of_madqn(delay_ms, holds):
     assert words not in {s.published for s in alone}
 
 
-def test_delays_stand_beside_the_published_ones(results):
+def test_delays_are_listed_with_the_published_ones(results):
     for run in results.runs:
         run.best.update({key: 0.9 * value for key, value in run.last.items()})
     found = {(c.labels["mode"], c.labels["networks"], c.labels["density"]): c for c in comparisons(results)}
@@ -103,7 +103,7 @@ def test_delays_stand_beside_the_published_ones(results):
     assert found["iac", "last", "low"].published_ms is None
 
 
-def test_a_file_gives_back_what_was_written(results, tmp_path):
+def test_a_written_file_is_read_back_unchanged(results, tmp_path):
     path = tmp_path / "new" / "results.json.gz"
     write(path, results)
     assert read(path) == results
@@ -112,7 +112,7 @@ def test_a_file_gives_back_what_was_written(results, tmp_path):
     assert path.read_bytes() == data
 
 
-def test_files_that_are_none(tmp_path):
+def test_files_of_another_kind_are_refused(tmp_path):
     with pytest.raises(ConfigError, match="cannot be read"):
         read(tmp_path / "none")
     (tmp_path / "other").write_bytes(b"{}")

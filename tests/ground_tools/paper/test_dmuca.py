@@ -1,4 +1,4 @@
-"""The DMUCA figures: made-up separations that bear the statements out or do not, and a few flights."""
+"""The DMUCA figures: made-up separations that confirm the statements or do not, and a few flights."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PUBLISHED = (
     (12.0, 9.75, 12.0, 12.0, 9.94, *(12.0,) * 5),
     (*(9.0,) * 5, 2.5, *(12.0,) * 4),
 )
-"""As the paper has it, by delay; what it does not say is made up."""
+"""Separations as in the paper, by delay; values that it does not give are made up."""
 
 
 def table(rows=PUBLISHED, flights=3):
@@ -60,7 +60,7 @@ def test_flights_as_published_hold():
     ],
 )
 def test_one_flight_that_is_not_as_published(law, other, delay, pair, distance_m, number, expected):
-    """Of the law and air that are asked; what others fly is nothing to it."""
+    """Only flights of the given law and conditions count."""
     found = table()
     found[Case(other, DELAYS_S[delay], "exact")][1, pair] = distance_m
     found[Case(law, DELAYS_S[delay], "noisy")][1, pair] = distance_m
@@ -110,7 +110,7 @@ def test_a_table_with_columns_of_its_own(capsys):
 
 
 def test_least_distances_between_the_positions():
-    """Two that pass each other at 3 m between two positions; a third that stands 40 m off."""
+    """Two aircraft pass each other at 3 m between two positions; a third one hovers 40 m away."""
     places = np.array(
         [[(-10.0, 0, 0), (12.0, 3, 0), (0, 0, 40.0)], [(10.0, 0, 0), (-8.0, 3, 0), (0, 0, 40.0)]]
     )
@@ -121,7 +121,8 @@ def test_least_distances_between_the_positions():
 
 @pytest.mark.parametrize("law", ["paper", "dmuca", "none"])
 def test_flights_are_those_of_the_campaign(law):
-    """The same law, world, paths and draws: as far apart, the same two, at the same time."""
+    """The same law, world, paths and draws give the same least distance, of the same pair, at the same
+    time."""
     delay_s = DELAYS_S[law == "paper"]
     (row,) = cells.fly(Cell(generator="S2", aircraft=5, law=law, delay_s=delay_s), [3])
     times, places = fly(Case(law, delay_s, "noisy"), 3)
@@ -133,8 +134,9 @@ def test_flights_are_those_of_the_campaign(law):
     assert times[nearest] == pytest.approx(row.time_s, abs=0.21)
 
 
-def test_what_is_sent_is_true_where_it_is_exact():
-    """Unavoided and exact, all fly their paths; noisy ones are off by what they take for their place."""
+def test_exact_flights_send_true_positions():
+    """Without avoidance and errors, all aircraft fly their paths. With errors, they are off by their position
+    error."""
     exact = dmuca_flights.IN["exact"]
     assert (exact.sigma_m, exact.sigma_mps, exact.declared_m, exact.quantised) == (0.0, 0.0, 0.0, False)
     for air, most_m in (("exact", 2.0), ("noisy", 8.0)):

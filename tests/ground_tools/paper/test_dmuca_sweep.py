@@ -1,4 +1,4 @@
-"""The sweep over readings of the paper: what is counted, what counts as growth, what is kept."""
+"""The sweep over readings of the paper: counts, the criterion for growth, and stored results."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,4 @@
-"""Delays of all methods, and times of decisions: numbers made up for the purpose, small ones that are
-measured, and the command line."""
+"""Delays of all methods and times of decisions: made-up numbers, small measurements, and the command line."""
 
 from __future__ import annotations
 
@@ -61,7 +60,7 @@ def paper_set(tmp_path):
 
 @pytest.fixture
 def only_made_up(monkeypatch):
-    """Nothing is measured."""
+    """Replace measurements by made-up numbers."""
     for module in (system_delay, uav_delay):
         monkeypatch.setattr(module, "measured", lambda *_: FIXED)
 
@@ -92,7 +91,8 @@ def test_without_torch_nothing_is_measured(monkeypatch):
 
 
 def test_measuring_takes_one_thread(paper_set):
-    """With two, each waits for the other where the cores have other work: minutes instead of seconds."""
+    """With two threads, each waits for the other if the cores are busy, which takes minutes instead of
+    seconds."""
     torch = pytest.importorskip("torch")
     torch.set_num_threads(2)
     assert methods.measured.__wrapped__(2, 1, paper_set)
@@ -108,7 +108,7 @@ def of_system(*runs):
 
 
 def test_system_delays_as_published_hold_but_for_the_lowest_at_low_density():
-    """There the paper's own number for BLE 4 is lower."""
+    """At low density, the paper's own number for BLE 4 is lower."""
     runs = [run("madqn", 1, 1036.0), run("maddpg", 1, 1302.0), run("iac", 1, 1400.0)]
     runs[0].last.update(low_ms=246.8)
     found = of_system(*runs)
@@ -118,7 +118,7 @@ def test_system_delays_as_published_hold_but_for_the_lowest_at_low_density():
     ]
 
 
-def test_what_is_absent_is_not_judged():
+def test_absent_methods_are_not_judged():
     found = of_system(run("madqn", 1, 1300.0))
     assert not any("MADDPG" in words for words in found)
     assert found["MADQN-ATMC, dynamic: at least 32 % below the best fixed mode"].verdict == "does not hold"
@@ -184,7 +184,7 @@ def test_decisions_of_all_files_of_a_folder(paper_set):
     assert "switches" in found.notes[0]
 
 
-def test_what_a_policy_refuses_is_not_timed():
+def test_refused_decisions_are_not_timed():
     meta = metadata(neighbours=20)
     parts = tensors(meta, widths=(8, 16))
     policy = Policy(with_golden(meta, parts), parts, "few")

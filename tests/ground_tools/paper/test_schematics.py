@@ -1,4 +1,4 @@
-"""What is drawn as received in the picture of the radio modes."""
+"""Which packets are drawn as received in the picture of the radio modes."""
 
 import pytest
 
@@ -12,7 +12,7 @@ P = ChannelParameters()
     ("begin_ms", "heard"),
     [
         (0.6, [True, False, False]),  # channel 37 is scanned from 0 to 2 ms
-        (1.7, [False, False, False]),  # its end comes after the window's
+        (1.7, [False, False, False]),  # the packet ends after the window
         (8.0 - 0.501, [False, True, False]),  # channel 38, from 8 ms on
         (15.0, [False, False, True]),  # channel 39, from 16 ms on
     ],

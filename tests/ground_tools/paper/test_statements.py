@@ -1,4 +1,4 @@
-"""Statements are judged by the rows: made-up rows that bear them out, and ones that do not."""
+"""Statements are checked against made-up rows that confirm them, and rows that do not."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_rows_as_published_hold():
 
 
 @pytest.mark.parametrize("curve", ["BLE 4", "Wi-Fi shared", "Wi-Fi random"])
-def test_a_missing_jump_and_a_strange_one(curve):
+def test_a_missing_and_an_unexpected_jump(curve):
     name = {"BLE 4": "ble4"}.get(curve, "wifi")
     at, elsewhere = {"ble4": (5, 3), "wifi": (7, 2)}[name]
 
@@ -92,7 +92,7 @@ def test_other_best_rates():
     found = {s.published: s for s in delay_rate.statements(rows_of(changed))}
     best = found["BLE 4 is fastest at rate 9"]
     assert (best.ours, best.holds) == ("fastest at 7", False)
-    # And so BLE 4 is the fastest in small sizes too.
+    # This also makes BLE 4 the fastest in small sizes.
     assert found["Wi-Fi shared is fastest in small sizes"].verdict == "does not hold"
     assert found["Wi-Fi shared is fastest in small sizes"].ours == "BLE 4"
     assert found["BLE 4 is fastest in large sizes (Wi-Fi shared)"].holds
@@ -109,12 +109,12 @@ def test_the_order_of_the_modes():
     assert (slowest.verdict, slowest.ours) == ("holds at 2 of 3", "BLE 4 or BLE 5")
 
 
-def test_what_a_jump_is():
+def test_jumps_are_rates_with_a_larger_delay_than_the_one_before():
     curve = curves_of(rows_of())["Wi-Fi shared"]
     assert delay_rate.jumps(curve, 100.0) == (4, 7, 8)
 
 
-def test_nobody_in_range_is_said():
+def test_nobody_in_range_is_reported():
     def nobody(mode, side_m, rate):
         return 0.0 if mode == "ble4" else delay(mode, side_m, rate)
 
@@ -181,7 +181,8 @@ def test_fixed_modes_are_means_over_sizes_at_their_best_rates():
 
 
 def test_the_rate_is_that_of_least_mean_over_all_sizes():
-    """BLE 4: rate 2 is better in small sizes by 100 ms, rate 3 in large ones by 40 ms; and the other way."""
+    """For BLE 4, rate 2 is better by 100 ms in small sizes and rate 3 by 40 ms in large ones; and the
+    reverse."""
     for small_ms, large_ms, best in ((100.0, 40.0, 2), (40.0, 100.0, 3)):
 
         def changed(mode, side_m, rate, small_ms=small_ms, large_ms=large_ms):

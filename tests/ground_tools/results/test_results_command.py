@@ -1,4 +1,4 @@
-"""What `ground-tools results` says of kept files."""
+"""The reports of `ground-tools results` on kept files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NAME = "results/some.json"
 
 @pytest.fixture
 def some(tmp_path, monkeypatch):
-    """One kept file in a folder of its own, whose sample differs as `differs` says."""
+    """One kept file in a separate folder, whose sample has the differences `differs`."""
     monkeypatch.setattr(kept, "shipped", lambda name: tmp_path / name)
     (tmp_path / "results").mkdir()
     (tmp_path / NAME).write_text("1")
@@ -54,7 +54,7 @@ def test_a_recorded_file_is_current_until_its_code_changes(some, capsys):
     assert "make it again: make it" in out
 
 
-def test_a_sample_that_is_the_same_is_enough(some, capsys):
+def test_an_equal_sample_is_sufficient(some, capsys):
     code, out = verify(capsys, "--sample")
     assert (code, out) == (0, f"{NAME}: made by other code or data; a sample made again is the same\n")
 
@@ -104,6 +104,6 @@ def test_every_listed_file_is_there_and_every_kept_file_is_listed():
     text = {".md"}
     root = shipped("results")
     there = {p for p in root.rglob("*") if p.is_file() and p.suffix not in text and ".made." not in p.name}
-    # What the command makes anew of the kept runs, and git ignores.
+    # The command makes these files from the kept runs, and git ignores them.
     there -= {root / "city-paper" / name for name in ("city.png", "runs.parquet", "table.csv")}
     assert there <= listed

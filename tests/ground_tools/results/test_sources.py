@@ -60,7 +60,7 @@ def test_only_code_counts(text, same):
     assert (sources.code_of(text) == sources.code_of("X = 1\n")) is same
 
 
-def test_a_definition_that_shares_its_line_with_its_words_is_code():
+def test_a_docstring_on_the_line_of_its_definition_counts_as_code():
     assert sources.code_of('class A(int): "Words."\n') != sources.code_of('class A(str): "Words."\n')
 
 
@@ -68,9 +68,8 @@ def test_a_number_sign_in_a_string_is_code():
     assert sources.code_of('Y = "#a"\n') != sources.code_of('Y = "#b"\n')
 
 
-def test_a_changed_constant_of_the_law_concerns_what_was_flown_and_nothing_else(tmp_path):
-    """The files that hang on the kernels are the campaign's tables, the closed loop and the city; policies
-    do not."""
+def test_a_changed_constant_of_the_law_affects_only_flown_results(tmp_path):
+    """The campaign's tables, the closed loop and the city depend on the kernels; policies do not."""
     for package in ("companion", "ground_tools", "sitl_mocks"):
         shutil.copytree(
             sources.ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__")

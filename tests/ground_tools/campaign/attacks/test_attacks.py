@@ -1,4 +1,4 @@
-"""The attackers, their transmitter and the judge: statements that hold whatever the companion does."""
+"""The attackers, their transmitter and the evaluation: properties that do not depend on the companion."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ VIEW = View(
 
 
 def sent_by(kind, view=VIEW, *, seconds=10.0, **values):
-    """All that the attack of seed 1 sends while the aircraft stay where they are."""
+    """Everything that the attack of seed 1 sends while the aircraft do not move."""
     attack = draw_attack(kind, 1)
     drawn = scene.draw(Cell(kind=kind), 1)
     attacker = KINDS[kind].make({**attack.values, **values}, drawn, np.random.default_rng(1))
@@ -105,7 +105,7 @@ def test_a_replay_sends_the_same_bytes_later():
     assert attacker.send(4.0, VIEW) == []
 
 
-def test_a_liar_is_off_by_what_it_was_told():
+def test_a_liars_position_has_the_offset_of_the_attack():
     drawn = scene.draw(Cell(kind="liar"), 1)
     values = {"away_m": 50.0, "bearing_turn": 0.25, "above_m": 0.0}
     assert KINDS["liar"].make(values, drawn, np.random.default_rng(1)).lie() == pytest.approx(
@@ -125,8 +125,8 @@ def test_an_adsb_ghost_is_no_remote_id():
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_all_that_a_kind_allows_can_be_sent(kind, share):
-    """Every corner of the search is a frame that a receiver reads."""
+def test_every_corner_of_a_kinds_parameters_can_be_sent(kind, share):
+    """A receiver can read the frames at every corner of the search space."""
     attack = attack_at(kind, [share] * len(KINDS[kind].parameters))
     attack.check()
     drawn, receiver = scene.draw(Cell(kind=kind), 1), FrameReceiver()
@@ -223,7 +223,7 @@ def test_without_the_attack_all_kinds_fly_the_same():
 
 
 def test_the_unavoided_paths_meet():
-    """Without a companion the drawn aircraft would lose separation, so the attacks have something to gain."""
+    """Without a companion the drawn aircraft would lose separation, so an attack can do harm."""
     for seed in range(50):
         drawn = scene.draw(Cell(kind="crowd"), seed)
         own = drawn.planned(drawn.meeting_s)
@@ -235,7 +235,7 @@ def test_an_attack_changes_the_flight():
     assert fly(cell, 1) != fly(scene.baseline(cell), 1)
 
 
-def test_the_judge_sees_a_planted_loss():
+def test_the_judge_detects_a_planted_loss():
     """An aircraft that nobody hears flies into the own one."""
     drawn = scene.draw(Cell(kind="crowd", intruder="blind"), 1)
     mute = msgspec.structs.replace(drawn.honest[0], sends_from_s=1e9)
@@ -244,7 +244,7 @@ def test_the_judge_sees_a_planted_loss():
     row = judged(World(drawn, attacker, (0.0, 0.0, 0.0), 20.0), "blind")
     assert row.lost
     assert row.separation_m < 10.0
-    assert row.held_s < 8.0  # the start from rest, 20 m behind the path's point
+    assert row.held_s < 8.0  # the aircraft starts from rest, 20 m behind the path's point
 
 
 def test_the_judge_sees_between_two_steps():
@@ -285,7 +285,7 @@ def test_a_search_is_reproducible_and_finds_no_less_than_it_flew():
 
 
 def test_a_search_moves_towards_the_harm():
-    """In a world where the separation is the distance of the parameters from those of one attack."""
+    """The separation is replaced by the distance of the parameters from those of one attack."""
     pytest.importorskip("cma")
     cell, row = Cell(kind="liar", intruder="blind"), fly(Cell(kind="liar"), 5)
     parameters = KINDS["liar"].parameters
@@ -312,7 +312,7 @@ def test_an_interrupted_search_goes_on_where_it_was(tmp_path, capsys, monkeypatc
     row, flown = fly(Cell(kind="liar"), 5), []
 
     def flight_outcome(flight_):
-        """In place of a flight: a separation that depends on nothing but the attack."""
+        """Replacement of a flight: the separation depends only on the attack."""
         flown.append(flight_)
         return msgspec.structs.replace(row, separation_m=sum(flight_[2].values.values()) % 50.0)
 
@@ -323,18 +323,18 @@ def test_an_interrupted_search_goes_on_where_it_was(tmp_path, capsys, monkeypatc
     assert cli.main([*line, "60"]) == 0
     (found,) = json.loads(capsys.readouterr().out)
     kept_lines = path.read_text().splitlines(keepends=True)
-    assert len(kept_lines) == 2 + found["evaluations"]  # What made them, the drawn attack, and the search's.
+    assert len(kept_lines) == 2 + found["evaluations"]  # Header, drawn attack, search.
     path.write_text("".join(kept_lines[:-1]) + kept_lines[-1][:40])  # As a killed process leaves it.
 
     flown.clear()
     assert cli.main([*line, "60"]) == 0
     assert json.loads(capsys.readouterr().out) == [found]
-    assert 0 < len(flown) < 30  # Only the torn generation was flown again.
+    assert 0 < len(flown) < 30  # Only the incomplete generation was flown again.
     assert cli.main([*line, "90"]) == 0
     longer = json.loads(capsys.readouterr().out)
     assert longer[0]["evaluations"] >= 90
     path.unlink()
-    assert cli.main([*line, "90"]) == 0  # In one go.
+    assert cli.main([*line, "90"]) == 0  # The same search without an interruption.
     assert json.loads(capsys.readouterr().out) == longer
 
 

@@ -1,4 +1,4 @@
-"""The kept attacks fly again, and keep what their files promise."""
+"""The kept attacks are flown again, and the flights meet the requirements in their files."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ground_tools.campaign.attacks import kept
 CASES = sorted((Path(__file__).parents[3] / "data" / "attacks").glob("*.json"))
 
 
-def test_there_are_some():
+def test_kept_attacks_exist():
     assert CASES
 
 
 @pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
-def test_a_kept_attack_breaks_no_promise(path):
+def test_a_kept_attack_meets_its_requirements(path):
     case = kept.read(path)
     row = kept.fly(case)
     assert row.seed == case.seed

@@ -1,4 +1,4 @@
-"""`ground-tools campaign encounters`: what it flies, prints, keeps and refuses."""
+"""`ground-tools campaign encounters`: flights, output, stored results and refused input."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ def test_avoidance_helps_and_the_numbers_fit_each_other(capsys):
     assert found["flight_s"] == 2 * 60 * pairing.DURATION_S
 
 
-def test_who_is_not_heard_is_not_avoided(capsys):
+def test_unheard_aircraft_are_not_avoided(capsys):
     found = run(capsys, "--seeds", "1-40", "--altitude", "unheard")
     assert found["nmac"] == found["nmac_unavoided"] > 0
     assert (found["risk_ratio"], found["lowc_ratio"]) == (1.0, 1.0)
     assert (found["nmac_induced"], found["alerts"], found["late_alerts"]) == (0, 0, 40)
     assert found["alert_time_median_s"] is None
-    assert found["deviation_max_m"] < 8.0  # the error of GNSS
+    assert found["deviation_max_m"] < 8.0  # the GNSS error
     assert (found["risk_ratio_limit"], found["lowc_ratio_limit"]) == (0.30, 0.50)
     lost = run(capsys, "--seeds", "1-40", "--loss", "1")
     far = run(capsys, "--seeds", "1-40", "--range", "1")
@@ -97,7 +97,7 @@ def test_the_numbers_of_a_cell():
     assert (found["lowc"], found["lowc_unavoided"], found["lowc_induced"]) == (2, 3, 1)
     assert found["lowc_ratio"] == pytest.approx(2.0 / 5.0)
     assert found["effective_encounters"] == 3.0  # 6^2 / 12
-    # Of the three that lose well clear unavoided, one is warned of before.
+    # Of the three encounters that lose well clear without avoidance, one has an alert before.
     assert (found["alerts"], found["false_alerts"], found["late_alerts"]) == (3, 1, 2)
     assert found["alert_time_median_s"] == pytest.approx(0.5 * (30.0 - 1.0))
     assert (found["deviation_median_m"], found["deviation_max_m"]) == (25.0, 40.0)
@@ -113,12 +113,12 @@ def test_a_seed_gives_the_same_encounter_and_the_same_outcome_however_it_is_flow
     first, again = cells.draw(one, model, 4), cells.draw(one, model, 4)
     np.testing.assert_array_equal(first.position, again.position)
     other = cells.draw(msgspec.structs.replace(one, altitude="barometric", loss=0.5), model, 4)
-    np.testing.assert_array_equal(first.position, other.position)  # the law meets the same encounters
+    np.testing.assert_array_equal(first.position, other.position)  # all laws meet the same encounters
     assert len({row.weight for row in cells.fly(one, model, range(1, 6))}) == 5
 
 
-def test_the_judge_sees_what_dense_tracks_show(model):
-    """The rows of a cell against single positions of the flown tracks, 20 in each step."""
+def test_rows_agree_with_a_search_on_dense_tracks(model):
+    """Compares the rows of a cell with single positions of the flown tracks, 20 in each step."""
     one = cell(model, own="5", horizontal_m=300.0, vertical_m=60.0)
     seen = {True: 0, False: 0}
     for row in cells.fly(one, model, range(1, 31)):
@@ -148,7 +148,7 @@ def test_our_aircraft_flies_its_path_within_its_limits(model):
     times = np.linspace(0.0, pairing.DURATION_S, len(unavoided))
     path = np.column_stack([np.interp(times, encounter.own_times_s, c) for c in encounter.own_points.T])
     assert np.linalg.norm(unavoided - path, axis=1).max() == pytest.approx(calm[flight.F_DEVIATION], abs=0.5)
-    assert calm[flight.F_DEVIATION] < 6.0  # the error of GNSS alone: it neither starts nor stops
+    assert calm[flight.F_DEVIATION] < 6.0  # only the GNSS error: the aircraft neither starts nor stops
     avoided, result = cells.flown(one, encounter, 2, avoids=True)
     speed = np.linalg.norm(np.diff(avoided, axis=0), axis=1) / cells.WORLD.step_s
     assert speed.max() < 15.0 * 1.05
@@ -221,7 +221,8 @@ def test_our_aircraft_flies_at_the_speed_that_is_asked_for(own, model):
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("altitude", ["geometric", "barometric"])
 def test_every_published_model_is_met(name, altitude, capsys):
-    """Well clear's separations against the same seeds: fewer losses of it than without avoidance."""
+    """With the separations of well clear, there are fewer losses than without avoidance for the same
+    seeds."""
     model_of(name)  # or skip
     path = str(PUBLISHED / f"{name}.txt")
     options = ["--model", path, "--own", "5", "--altitude", altitude, "--separation", "610", "76"]
@@ -233,8 +234,9 @@ def test_every_published_model_is_met(name, altitude, capsys):
 
 
 def test_a_published_model(capsys):
-    """Helicopters heard from afar, our own aircraft at 10 m/s. Planes of ORCA at the same separations came to
-    a risk ratio of 0.00 and 0.27 of the losses of well clear in 300 to 400 encounters."""
+    """Helicopters that are received from afar, and our own aircraft at 10 m/s. ORCA planes at the same
+    separations had a risk ratio of 0.00 and a ratio of losses of well clear of 0.27, in 300 to 400
+    encounters."""
     model_of(ROTORCRAFT)  # or skip
     path = str(PUBLISHED / f"{ROTORCRAFT}.txt")
     options = ["--model", path, "--own", "10", "--separation", "610", "76", "--seeds", "1-150"]
@@ -242,4 +244,4 @@ def test_a_published_model(capsys):
     found = json.loads(capsys.readouterr().out)
     assert found["nmac_unavoided"] >= 10
     assert found["nmac"] <= 1
-    assert found["lowc_ratio_interval"][1] < 0.25  # aimed at; 0.18 was measured
+    assert found["lowc_ratio_interval"][1] < 0.25  # the target; 0.18 was measured

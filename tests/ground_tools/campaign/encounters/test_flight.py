@@ -1,4 +1,4 @@
-"""An encounter is flown as the campaign flies one: the same commands, and the law as it is."""
+"""The flight of an encounter: the same commands as in the campaign, and the behaviour of the law."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def crossing(aside_m, climb_mps):
 @pytest.mark.parametrize(("aside_m", "climb_mps"), [(20.0, 0.0), (-90.0, 0.1), (300.0, -0.05)])
 @pytest.mark.parametrize("horizontal_m", [150.0, 610.0])
 def test_the_campaign_flies_the_same(kind, aside_m, climb_mps, horizontal_m):
-    """Step by step, where nothing is random; the campaign's own crewed aircraft flies straight."""
+    """Compares step by step without randomness; the campaign's crewed aircraft flies straight."""
     other, position, velocity = crossing(aside_m, climb_mps)
     avoidance = AvoidanceConfig(crewed_horizontal_m=horizontal_m)
     conditions = EXACT.conditions(avoidance.period_s)
@@ -64,11 +64,12 @@ def test_the_campaign_flies_the_same(kind, aside_m, climb_mps, horizontal_m):
     np.testing.assert_allclose(found[1:], wanted[:, 0], atol=1e-6)
     assert numbers[flight.F_DEVIATION] == pytest.approx(result[outcome.F_DEVIATION], abs=1e-6)
     assert numbers[flight.F_BACK] == pytest.approx(result[outcome.F_BACK], abs=1e-6)
-    assert result[outcome.F_DEVIATION] > 20.0 or aside_m == 300.0  # it has to avoid
+    assert result[outcome.F_DEVIATION] > 20.0 or aside_m == 300.0  # the aircraft has to avoid
 
 
 def test_it_goes_below_crewed_traffic_first_and_returns():
-    """40 m above and straight over it: down, hardly aside, and at the end on the path again."""
+    """The crewed aircraft passes 40 m above. Our aircraft descends, hardly deviates to the side, and returns
+    to its path."""
     _, position, velocity = crossing(0.0, 0.0)
     position[:, 2] = -120.0
     settings = settings_of(AvoidanceConfig(), LimitsConfig(max_speed_mps=15.0), OWN)
@@ -85,7 +86,8 @@ def test_it_goes_below_crewed_traffic_first_and_returns():
 
 
 def test_a_pressure_altitude_beside_ours_counts_with_its_error():
-    """An aircraft that seems 100 m higher than it is is not passed to the side; without the error it is."""
+    """A crewed aircraft that seems 100 m higher than it is is not avoided to the side; without the error it
+    is."""
     _, position, velocity = crossing(10.0, 0.0)
     position[:, 2] = -100.0
     settings = settings_of(AvoidanceConfig(), LimitsConfig(max_speed_mps=15.0), OWN)
@@ -101,8 +103,8 @@ def test_a_pressure_altitude_beside_ours_counts_with_its_error():
 
 
 def test_a_pressure_altitude_counts_only_where_it_is_far_from_ours():
-    """A crewed aircraft 200 m above is passed to the side if its altitude is barometric, and not if it is
-    geometric; one 400 m above neither way."""
+    """A crewed aircraft 200 m above is avoided to the side if its altitude is barometric, and not if it is
+    geometric. One 400 m above is not avoided in either case."""
     for above_m, avoids in ((200.0, True), (400.0, False)):
         _, position, velocity = crossing(10.0, 0.0)
         position[:, 2] = -80.0 - above_m

@@ -1,4 +1,4 @@
-"""The reader of encounter models: what it takes, and what it says of what it does not take."""
+"""The reader of encounter models: accepted files, and the error messages for others."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_published_models(name):
     model = model_of(name)
     assert model.initial[model.at(LAYER)].bins == 4
     assert model.initial[model.at(SPEED)].bins == 8
-    # Counts of one variable are sums of those of the next: the file was cut where it should be.
+    # The counts of one variable are sums of the next one's, so the file was split at the right places.
     for i, variable in enumerate(model.initial):
         assert variable.counts.sum() == model.initial[0].counts.sum(), i
     for variable in model.next:

@@ -1,4 +1,4 @@
-"""Encounters as they are placed: the window, the beginning, the headings and the weights."""
+"""The placement of encounters: window, beginning, headings and weights."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_the_window_and_the_beginning(name, own_mps, window):
         assert abs(relative[2]) <= window.height_m
         velocity = encounter.velocity[AT, :2] - (own[-1, :2] - own[0, :2]) / pairing.DURATION_S
         across = relative[:2] @ velocity / np.linalg.norm(velocity)
-        assert across == pytest.approx(0.0, abs=1e-6)  # the side is across the relative motion
+        assert across == pytest.approx(0.0, abs=1e-6)  # perpendicular to the relative motion
         assert np.hypot(*(track[0] - own[0])[:2]) >= pairing.APART_M
         layers = np.array(model.bounds(LAYER)) * FOOT_M
         assert (-track[:, 2] >= layers[0] - 1e-6).all()
@@ -75,8 +75,8 @@ def test_sides_are_uniform():
 
 
 def test_headings_follow_the_relative_speed_and_the_weight_is_its_mean():
-    """30 m/s against 15 m/s: head-on three times as often as from behind; the weight is the mean over all
-    headings, by another way of integration."""
+    """At 30 m/s against 15 m/s, head-on encounters are three times as frequent as those from behind. The
+    weight is compared with the mean over all headings from another integration."""
     rng = np.random.default_rng(2)
     own, velocity = np.array([15.0, 0.0, 0.0]), np.array([0.0, 30.0, -2.0])
     found = [pairing._heading(rng, velocity, own) for _ in range(4000)]
@@ -104,7 +104,7 @@ def test_weights_make_up_for_headings_drawn_in_proportion_to_the_relative_speed(
     slow, fast = (np.hypot(v * np.cos(uniform) - 15.0, v * np.sin(uniform)) for v in (5.0, 40.0))
     other = fast[np.cos(uniform) < 0.0].sum() / (slow.sum() + fast.sum())
     assert share == pytest.approx(other, abs=0.015)
-    assert abs(fast_from_ahead.mean() - other) > 0.05  # without weights it would not
+    assert abs(fast_from_ahead.mean() - other) > 0.05  # fails without weights
 
 
 def test_a_model_that_never_flies_at_our_height_is_refused(monkeypatch):

@@ -1,7 +1,7 @@
-"""What is drawn from a model agrees with its counts, each variable; and tracks are what their rates say.
+"""The samples of each variable agree with the model's counts, and tracks agree with their rates.
 
-Each comparison is a chi-square test at the level 0.0005 on fixed seeds. That it can fail is shown by samplers
-with a deliberate fault.
+Each comparison is a chi-square test at the level 0.0005 with fixed seeds. Samplers with deliberate faults
+show that the tests can fail.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def chi_square_z(observed, expected):
         if rest[1] >= LEAST_EXPECTED:
             cells.append(rest)
         elif rest[0] > 0 and rest[1] == 0.0:
-            return math.inf  # something that never happens
+            return math.inf  # a bin that was never observed
         elif cells and rest[1] > 0.0:
             cells[-1] = cells[-1][0] + rest[0], cells[-1][1] + rest[1]
         if len(cells) > 1:
@@ -101,14 +101,14 @@ def test_initial_variables_agree_with_the_counts(name):
         z = chi_square_z(*table(variable, bins, bins[:, i]))
         assert z < LEVEL_Z, f"{variable.label} given its parents"
         share = variable.counts.sum(axis=0) / variable.counts.sum()
-        if name != "tiny":  # the counts of the small model are not those of a common sample
+        if name != "tiny":  # the counts of the small model do not come from a common sample
             z = chi_square_z([np.bincount(bins[:, i], minlength=variable.bins)], [len(bins) * share])
             assert z < LEVEL_Z, variable.label
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_tests_cover_every_variable_of_a_published_file(name):
-    """Seven variables, or five without region and class; three of them go on from second to second."""
+    """There are seven variables, or five without region and class; three of them are dynamic."""
     model = model_of(name)
     labels = [variable.label for variable in model.initial]
     assert set(labels) - set(OPTIONAL) == set(NEEDED)
@@ -138,11 +138,11 @@ def test_a_sampler_that_takes_the_last_parent_as_the_fastest_fails_the_tests(nam
 
     bins = [v.bins for v in model.initial]
     wrong = dataclasses.replace(model, initial=tuple(slow_first(v, bins) for v in model.initial))
-    if name != "tiny":  # there no initial variable has two parents
+    if name != "tiny":  # in that model no initial variable has two parents
         try:
             found = drawn_initial(wrong, 20_000)
         except ValueError:
-            pass  # even a combination that was never observed
+            pass  # it even draws a combination that was never observed
         else:
             zs = [
                 chi_square_z(*table(v, found, found[:, i])) for i, v in enumerate(model.initial) if v.parents
@@ -193,7 +193,7 @@ def test_values_are_uniform_within_their_bin_and_zero_in_the_bin_of_zero(name):
 
 @pytest.mark.parametrize("name", MODELS)
 def test_a_value_is_drawn_anew_within_its_bin_as_often_as_the_file_says(name):
-    """And always lies in the bin of its second."""
+    """The value always lies in the bin of its second."""
     model = model_of(name)
     rng = np.random.default_rng(4)
     tables = model.tables

@@ -1,4 +1,5 @@
-"""The judge against a brute-force computation on dense tracks, and the intervals of its ratios."""
+"""Compares the detection of entries with a brute-force search on dense tracks, and tests the intervals of
+ratios."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ FOOT_M = 0.3048
 
 
 def on_dense_points(relative, step_s, volume, points):
-    """The same, from `points` single positions in each step; None: no position is inside."""
+    """First entry from `points` single positions in each step; None: no position is inside."""
     for i, (a, b) in enumerate(itertools.pairwise(relative)):
         for j in range(points + 1):
             n, e, d = a + (b - a) * j / points
@@ -64,7 +65,7 @@ def test_the_same_as_on_dense_points(seed):
         ((0.0, 0.0, -100.0), (0.0, 0.0, 100.0), (100.0 - 30.48) / 200.0),  # straight down
         ((0.0, 0.0, 5.0), (0.0, 0.0, 5.0), 0.0),  # inside all the time
         ((200.0, 0.0, 5.0), (200.0, 0.0, 5.0), None),  # outside all the time
-        # Beside it while at its height, and above it while near: never both at once.
+        # Beside the volume while at its height, and above it while near: never both at once.
         ((-1000.0, 0.0, -200.0), (1000.0, 0.0, 600.0), None),
         ((-1000.0, 0.0, -400.0), (1000.0, 0.0, 400.0), (1000.0 - 76.2) / 2000.0),  # falls into it from above
     ],
@@ -75,7 +76,7 @@ def test_cases_by_hand(first, last, wanted):
 
 
 def test_a_volume_that_is_crossed_between_two_rows_is_found():
-    """150 m/s and rows each 10 s: no row is inside."""
+    """At 150 m/s and with a row every 10 s, no row is inside."""
     rows = np.array([[-800.0, 10.0, 0.0], [700.0, 10.0, 0.0], [2200.0, 10.0, 0.0]])
     assert on_dense_points(rows, 10.0, NMAC, 1) is None
     assert first_inside(rows, 10.0, NMAC) == pytest.approx((800.0 - math.sqrt(152.4**2 - 100.0)) / 150.0)
@@ -103,7 +104,7 @@ def test_ratios_by_hand():
     assert ratios.wilson(1.0, 40.0) == pytest.approx(wilson(40, 40))
 
 
-def test_no_hit_with_avoidance_is_no_proof_of_none():
+def test_zero_events_with_avoidance_give_an_interval_above_zero():
     unavoided = np.zeros(300, bool)
     unavoided[:50] = True
     low, high = ratios.interval(np.zeros(300, bool), unavoided, np.ones(300))

@@ -1,4 +1,4 @@
-"""Flights towards what sends nothing: drawn so that they would hit, flown by the companion's own core."""
+"""Flights towards things that transmit nothing, on collision course, flown by the companion's own core."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ground_tools.cli import main
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", range(1, 30))
-def test_what_is_drawn_lies_in_the_way(kind, seed):
+def test_drawn_obstacles_lie_on_the_path(kind, seed):
     drawn = scene.draw(Cell(kind=kind), seed)
     assert drawn.obstacle.distance_m(drawn.planned(MEETING_S), MEETING_S) <= math.hypot(PASS_M, 2.0)
     assert 2.5 <= drawn.speed_mps <= 3.75
@@ -34,7 +34,7 @@ def test_a_flight_keeps_away_and_is_the_same_each_time(kind):
 
 
 @pytest.mark.parametrize("kind", ["pole", "wall", "unheard-5"])
-def test_what_an_ardupilot_reports_of_its_own_sensor_is_flown(kind):
+def test_obstacles_from_an_ardupilots_own_sensor_are_avoided(kind):
     cell = Cell(kind=kind, message="proximity")
     row = flight.fly(cell, 4)
     assert row == flight.fly(cell, 4)
@@ -44,7 +44,7 @@ def test_what_an_ardupilot_reports_of_its_own_sensor_is_flown(kind):
     assert row.separation_m != flight.fly(Cell(kind=kind), 4).separation_m
 
 
-def test_a_sensor_that_sees_nothing_in_time_saves_nobody():
+def test_a_sensor_with_too_short_a_range_does_not_help():
     row = flight.fly(Cell(kind="unheard-10", range_m=5.0), 3)
     assert row.separation_m == pytest.approx(row.unavoided_m, abs=6.0)
 

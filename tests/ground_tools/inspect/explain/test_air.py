@@ -1,4 +1,4 @@
-"""Remote ID of one aircraft: rates against the region's floor, losses, latencies, ages."""
+"""Remote ID of one aircraft: rates against the region's minimum, losses, latencies, ages."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ def name_of(uas_id):
 
 
 def sends(times, *, channel=6, before=(ON,), transport="wifi"):
-    """A pack at each time."""
+    """Broadcasts of a message pack at each time."""
     pack = (
         BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id="ONE"),
         Location(),
@@ -41,7 +41,7 @@ def lane(found, message="Location"):
     return next(row for row in found["sent"] if row["message"] == message)
 
 
-def test_a_gap_above_the_floor_is_not_kept(tmp_path: Path) -> None:
+def test_a_gap_longer_than_the_legal_limit_is_a_violation(tmp_path: Path) -> None:
     kept = lane(gather(read(tmp_path / "a", CONFIG, sends([1.0, 2.0, 3.0, 4.0]))))
     assert (kept["kept"], kept["longest_s"], kept["legal_s"], kept["rate_hz"]) == (True, 1.0, 1.0, 1.0)
     found = gather(read(tmp_path / "b", CONFIG, sends([1.0, 2.0, 3.05, 4.05])))
@@ -50,13 +50,13 @@ def test_a_gap_above_the_floor_is_not_kept(tmp_path: Path) -> None:
     assert lane(found, "BasicId")["kept"] is True
 
 
-def test_the_floor_is_another_on_another_channel(tmp_path: Path) -> None:
+def test_the_legal_minimum_depends_on_the_wifi_channel(tmp_path: Path) -> None:
     row = lane(gather(read(tmp_path, CONFIG, sends([1.0, 2.0, 3.0], channel=1))))
     assert (row["legal_s"], row["kept"]) == (0.2, False)
 
 
-def test_what_was_not_to_be_on_the_air_keeps_no_floor(tmp_path: Path) -> None:
-    """A transport that is given up and taken up again: nothing was due in between."""
+def test_the_minimum_rate_applies_only_while_a_transport_is_on_the_air(tmp_path: Path) -> None:
+    """A transport is stopped and started again. No message was due in between."""
     off = BroadcastChanged(rates=(), legal=True, reason="")
     steps = sends([1.0, 2.0])
     steps += [step(2.5, off), step(20.0, ON), *sends([20.5, 21.5])[1:]]
@@ -84,10 +84,10 @@ def frame(counter, stamp_s=None):
     ("counters", "lost", "of"),
     [
         ([250, 251, 252, 253], 0, 3),
-        ([254, 255, 1, 2], 1, 4),  # 0 lost, over the wrap
-        ([10, 12, 11, 13], 0, 3),  # 11 was overtaken, not lost
+        ([254, 255, 1, 2], 1, 4),  # none lost, the counter wraps around
+        ([10, 12, 11, 13], 0, 3),  # 11 arrived late, it was not lost
         ([10, 10, 11], 0, 1),  # repeated content
-        ([10, 200, 201], 0, 1),  # set anew
+        ([10, 200, 201], 0, 1),  # the counter was reset
         ([None, None], None, None),
     ],
 )
@@ -109,7 +109,7 @@ def test_latency_is_by_utc_and_over_the_hour(tmp_path: Path) -> None:
     assert row["latency"] is None
 
 
-def test_own_frames_that_were_heard_back_are_nobody(tmp_path: Path) -> None:
+def test_own_frames_that_are_received_back_are_ignored(tmp_path: Path) -> None:
     own = step(0.0, events=(RadioState(own_addresses=("c2:00",)),))
     assert gather(read(tmp_path, CONFIG, [own, step(1.0, events=(frame(1),))]))["heard"] == []
 

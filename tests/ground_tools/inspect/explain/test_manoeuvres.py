@@ -1,4 +1,4 @@
-"""Every manoeuvre is found once, and says why, what was done and what came of it."""
+"""Every manoeuvre is found once, with its reason, command and outcome."""
 
 import math
 from pathlib import Path
@@ -17,7 +17,7 @@ RIGHT = (4.0, 3.0, 0.0)
 
 
 def flown(folder: Path, *spans: tuple[float, float], end_s: float = 40.0, config: Config = CONFIG, **over):
-    """Decisions at 5 Hz that turn right inside the spans."""
+    """A record of decisions at 5 Hz that turn right inside the spans (s)."""
 
     def one(t):
         left = any(a <= t <= b for a, b in spans)
@@ -47,7 +47,7 @@ def test_a_guarded_vehicle_is_taken_once(tmp_path: Path) -> None:
     assert "right" in one.done
 
 
-def test_what_the_law_saw_while_the_autopilot_flew_is_none(tmp_path: Path) -> None:
+def test_decisions_while_the_autopilot_flies_are_no_manoeuvre(tmp_path: Path) -> None:
     def moved(previous, state):
         return AuthorityChanged(previous=previous, state=state, trigger="x", reason="y")
 
@@ -66,20 +66,20 @@ def test_what_the_law_saw_while_the_autopilot_flew_is_none(tmp_path: Path) -> No
     )
 
 
-def test_short_gaps_belong_to_it_and_long_ones_part_it(tmp_path: Path) -> None:
+def test_short_gaps_belong_to_a_manoeuvre_and_long_ones_separate_two(tmp_path: Path) -> None:
     found = find(flown(tmp_path, (5.0, 8.0), (11.0, 13.0), (25.0, 26.0)))
     assert [(one.start_s, one.end_s) for one in found] == [(5.0, 13.0), (25.0, 26.0)]
 
 
-def test_a_command_that_lags_is_none(tmp_path: Path) -> None:
-    """Behind a corner of the path: nobody's half-space is active."""
+def test_a_lagging_command_is_no_manoeuvre(tmp_path: Path) -> None:
+    """The command lags after a corner of the path, while no half-space of a track is active."""
     found = [step(k / 5, decision(track(conflict=False, active=False), chosen=RIGHT)) for k in range(50)]
     assert find(read(tmp_path / "lag", CONFIG, found)) == ()
     speed = [step(k / 5, decision(chosen=RIGHT, limits=("speed", "climb or ceiling"))) for k in range(50)]
     assert find(read(tmp_path / "speed", CONFIG, speed)) == ()
 
 
-def test_a_fence_makes_one(tmp_path: Path) -> None:
+def test_a_fence_makes_a_manoeuvre(tmp_path: Path) -> None:
     steps = [step(k / 5, decision(chosen=(0.0, 0.0, 0.0), limits=("fence",))) for k in range(50)]
     (one,) = find(read(tmp_path, CONFIG, steps))
     assert (one.tracks, one.limits, one.track) == ((), ("fence",), None)
@@ -87,12 +87,12 @@ def test_a_fence_makes_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("law", ["none", "dmuca"])
-def test_the_law_none_makes_none(tmp_path: Path, law: str) -> None:
+def test_the_law_none_has_no_manoeuvres(tmp_path: Path, law: str) -> None:
     config = msgspec.structs.replace(CONFIG, avoidance=AvoidanceConfig(law=law))
     assert len(find(flown(tmp_path, (5.0, 8.0), config=config))) == (law == "dmuca")
 
 
-def test_a_record_without_its_header_makes_none(tmp_path: Path) -> None:
+def test_a_record_without_its_header_has_no_manoeuvres(tmp_path: Path) -> None:
     steps = [step(k / 5, decision(track(), chosen=RIGHT)) for k in range(50)]
     path = write(tmp_path, CONFIG, steps)
     data = path.read_bytes()
@@ -104,7 +104,7 @@ def test_a_record_without_its_header_makes_none(tmp_path: Path) -> None:
 
 
 def test_the_way_back_counts_until_the_path_is_regained(tmp_path: Path) -> None:
-    """Off the path grows to 20 m at 15 s, and is within 5 m again at 18.8 s."""
+    """The distance from the path grows to 20 m at 15 s and is below 5 m again at 18.8 s."""
 
     def off(t):
         return max(0.0, min(2.0 * (t - 5.0), 20.0 - 4.0 * (t - 15.0)))
@@ -123,7 +123,7 @@ def test_the_way_back_counts_until_the_path_is_regained(tmp_path: Path) -> None:
     assert "back on it 6.8 s after the manoeuvre" in found.came
 
 
-def test_no_number_that_is_not_known(tmp_path: Path) -> None:
+def test_unknown_numbers_are_left_out(tmp_path: Path) -> None:
     (one,) = find(flown(tmp_path, (5.0, 8.0)))
     assert one.deviation_m is None
     assert one.regained_s is None
@@ -141,11 +141,11 @@ def test_no_number_that_is_not_known(tmp_path: Path) -> None:
         ((5.0, 0.1, 0.0), "hardly changed"),
     ],
 )
-def test_what_was_done_in_words(chosen: tuple[float, float, float], words: str) -> None:
+def test_changes_of_velocity_are_described(chosen: tuple[float, float, float], words: str) -> None:
     assert change((5.0, 0.0, 0.0), chosen) == words
 
 
-def test_an_infeasible_decision_is_said(tmp_path: Path) -> None:
+def test_an_infeasible_decision_is_reported(tmp_path: Path) -> None:
     (one,) = find(flown(tmp_path, (5.0, 8.0), feasible=False))
     assert not one.feasible
     assert "No velocity kept every half-space." in one.done

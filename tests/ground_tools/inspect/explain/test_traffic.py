@@ -1,4 +1,4 @@
-"""Who came near is told for every kind of log: in the figures, in the tables and in the first lines."""
+"""Aircraft that came near are reported for every kind of log: in figures, tables and the first lines."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from tests.ground_tools.inspect.flights import decision, step, track, write
 from tests.support.place import HOME
 
 M_PER_DEG = 111_195.0
-"""Length of a degree of latitude on a sphere, to a third of a percent."""
+"""Length of a degree of latitude (m) on a sphere, accurate to a third of a percent."""
 DATA = Path(__file__).parents[3] / "data"
 ONE = Config(identity=IdentityConfig(uas_id="ONE", icao="4B1234"))
 
 
 def unpacked(folder: Path) -> Path:
-    """The log of an ArduPilot in simulation with ADS-B around it."""
+    """The log of a simulated ArduPilot with ADS-B traffic."""
     path = folder / "ardupilot_sitl_odid_adsb.tlog"
     with gzip.open(DATA / f"{path.name}.gz") as packed, path.open("wb") as plain:
         shutil.copyfileobj(packed, plain)
@@ -40,7 +40,7 @@ def unpacked(folder: Path) -> Path:
 
 
 def adsb(north_m: float, east_m: float, up_m: float | None, **over) -> AdsbVehicle:
-    """An aircraft by its place relative to where `step` flies at 0 s, 50 m above home."""
+    """An ADS-B report, by the position relative to that of `step` at 0 s, which is 50 m above home."""
     lat, lon, alt = HOME.to_geodetic(north_m, east_m, -50.0 - (up_m or 0.0))
     values = {"icao": 0x4CA123, "lat_deg": lat, "lon_deg": lon, "alt_m": None if up_m is None else alt}
     return AdsbVehicle(**(values | {"callsign": "EI1  "} | over))
@@ -56,13 +56,13 @@ def remote_id(name: str, north_m: float, east_m: float, *, alt_m: float | None =
 
 
 def heard(folder: Path, *events, config: Config = ONE):
-    """Rows of the traffic that ONE heard, one event a second from 0 s."""
+    """Rows of the traffic that ONE received, with one event per second from 0 s."""
     steps = [step(float(k), events=(event,)) for k, event in enumerate(events)]
     write(folder, config, [*steps, step(float(len(steps)))])
     return describe(read_run(folder))
 
 
-def test_an_adsb_aircraft_is_told_by_how_near_and_when(tmp_path):
+def test_an_adsb_aircraft_is_reported_with_distance_and_time(tmp_path):
     figures = heard(tmp_path, adsb(500.0, 0.0, 300.0), adsb(0.0, 190.0, 214.0), adsb(0.0, 900.0, 214.0))
     (row,) = figures["aircraft"][0]["traffic"]
     assert (row["identity"], row["callsign"], row["by"], row["messages"]) == ("4CA123", "EI1", "ADS-B", 3)
@@ -82,7 +82,7 @@ def test_an_adsb_aircraft_is_told_by_how_near_and_when(tmp_path):
     assert json.loads(json.dumps(figures)) == figures
 
 
-def test_a_report_is_carried_forward_over_its_age(tmp_path):
+def test_a_report_is_extrapolated_over_its_age(tmp_path):
     event = adsb(0.0, 1000.0, 100.0, age_s=2.0, velocity_ned_mps=(0.0, -100.0, 0.0), alt_geometric=True)
     (row,) = heard(tmp_path, event)["aircraft"][0]["traffic"]
     assert row["nearest"]["aside_m"] == pytest.approx(1000.0 - 100.0 * (2.0 + ADSB_STAMP_S), abs=2.0)
@@ -98,7 +98,7 @@ def test_a_geometric_altitude_is_compared_above_the_ellipsoid(tmp_path):
 
 
 def test_a_geometric_altitude_is_not_compared_while_the_undulation_is_unknown(tmp_path):
-    """Above the ellipsoid it is 48 m here from what it is above mean sea level."""
+    """Heights above the ellipsoid and above mean sea level differ by 48 m here."""
     figures = heard(tmp_path, adsb(0.0, 100.0, 48.0, alt_geometric=True))
     near = figures["aircraft"][0]["traffic"][0]["nearest"]
     assert near["above_m"] is None
@@ -112,7 +112,7 @@ def test_the_own_transponder_and_the_own_remote_id_are_no_traffic(tmp_path):
     assert headline.verdicts(figures)[0] == "Other aircraft: none was heard"
 
 
-def test_a_height_that_is_not_known_is_said(tmp_path):
+def test_an_unknown_height_is_reported(tmp_path):
     figures = heard(tmp_path, adsb(0.0, 80.0, None), remote_id("TWO", 0.0, 300.0, alt_m=None))
     rows = figures["aircraft"][0]["traffic"]
     assert [row["identity"] for row in rows] == ["4CA123", "TWO"]
@@ -121,7 +121,7 @@ def test_a_height_that_is_not_known_is_said(tmp_path):
     assert headline.verdicts(figures)[0].endswith("2 other aircraft in all")
 
 
-def test_without_own_positions_how_near_is_not_known(tmp_path):
+def test_without_own_positions_distances_are_unknown(tmp_path):
     steps = [Step(now_s=float(k), events=(adsb(0.0, 80.0, 10.0),), commands=()) for k in range(5)]
     write(tmp_path, ONE, steps)
     figures = describe(read_run(tmp_path))
@@ -129,7 +129,7 @@ def test_without_own_positions_how_near_is_not_known(tmp_path):
     assert "Other aircraft: 1 heard; how near they came is not known" in headline.verdicts(figures)
 
 
-def test_aircraft_of_the_run_are_told_as_pairs(tmp_path):
+def test_aircraft_of_the_run_are_reported_as_pairs(tmp_path):
     write(tmp_path, ONE, [step(0.0, events=(remote_id("TWO", 0.0, 30.0),)), step(1.0)])
     write(tmp_path, Config(identity=IdentityConfig(uas_id="TWO")), [step(0.0), step(1.0)])
     figures = describe(read_run(tmp_path))
@@ -139,7 +139,7 @@ def test_aircraft_of_the_run_are_told_as_pairs(tmp_path):
 
 
 def frame_of(mav, message, boot_s):
-    """The message as an entry of a .tlog."""
+    """A message as an entry of a .tlog."""
     return struct.pack(">Q", round((1.8e9 + boot_s) * 1e6)) + message.pack(mav)
 
 
@@ -152,7 +152,7 @@ def frame_of(mav, message, boot_s):
     ],
 )
 def test_altitudes_of_messages_are_compared_in_their_own_datum(tmp_path, alt_type, alt_mm, above_m, words):
-    """Own aircraft: 50 m above home, 450 m above mean sea level, 498 m above the ellipsoid."""
+    """The own aircraft is 50 m above home, 450 m above mean sea level and 498 m above the ellipsoid."""
     mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     lat, lon = round(HOME.lat_deg * 1e7), round(HOME.lon_deg * 1e7)
     east = round(HOME.to_geodetic(0.0, 190.0, 0.0)[1] * 1e7)
@@ -202,7 +202,7 @@ def test_pymavlink_reads_the_same_nearest_aircraft_from_the_log(tmp_path):
     assert above == pytest.approx(-186.0, abs=1.0)
 
 
-def test_a_log_of_an_autopilot_alone_tells_all_that_it_heard(tmp_path):
+def test_a_log_without_a_companion_reports_all_received_aircraft(tmp_path):
     pytest.importorskip("matplotlib")
     run = read_run(unpacked(tmp_path))
     figures = describe(run)
@@ -217,7 +217,7 @@ def test_a_log_of_an_autopilot_alone_tells_all_that_it_heard(tmp_path):
     text = page(run, figures)
     assert text.index("001225 (SIM4645)") < text.index("<h2>")
     assert all(row["identity"] in text for row in rows)
-    # The page of the documentation counts what the tool counts.
+    # The documentation shows the same numbers as the tool.
     line = next(
         line
         for line in (DATA.parents[1] / "docs" / "logs.md").read_text().splitlines()
@@ -229,7 +229,7 @@ def test_a_log_of_an_autopilot_alone_tells_all_that_it_heard(tmp_path):
     assert len(reboots) == 1
 
 
-def test_who_was_avoiding_another_is_not_said_to_have_done_nothing(tmp_path):
+def test_an_aircraft_that_avoided_another_is_not_reported_as_passive(tmp_path):
     """TWO comes near while ONE flies around THREE."""
     busy = AuthorityChanged(
         previous="guarding", state="avoiding", trigger="conflict", reason="conflict with X"

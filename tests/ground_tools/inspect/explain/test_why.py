@@ -1,4 +1,4 @@
-"""Why a velocity was chosen: the half-spaces are the core's own, and what alternatives lead to."""
+"""Reasons for a chosen velocity: the half-spaces equal the core's, and the outcomes of alternatives."""
 
 import math
 
@@ -74,7 +74,7 @@ def test_what_excludes_an_alternative_is_a_half_space_that_it_breaks():
     assert not found.excluded_by
 
 
-def test_beside_another_one_that_yields_excludes_nothing():
+def test_a_yielding_aircraft_excludes_nothing_beside_others():
     ghost = track("GHOST", position_ned_m=(100.0, 0.0, -50.0), yields=True)
     far = track("FAR", position_ned_m=(0.0, 900.0, -50.0), velocity_ned_mps=(0.0, 0.0, 0.0))
     alone, both = (
@@ -95,8 +95,8 @@ def test_a_turn_is_the_smallest_that_is_allowed():
     assert math.hypot(*right.velocity_ned_mps) == pytest.approx(5.0)
 
 
-def test_crewed_traffic_has_no_half_space_and_the_law_still_leaves_it():
-    """It comes towards us, 30 m aside; the law goes down, and sideways."""
+def test_crewed_traffic_has_no_half_space_and_is_still_avoided():
+    """It comes towards us, 30 m to the side; the law descends and moves sideways."""
     near = {"position_ned_m": (800.0, 30.0, -50.0), "velocity_ned_mps": (-40.0, 0.0, 0.0), "adsb": True}
     look = alternatives(decision(track("ABCDEF", radius_m=900.0, age_s=0.0, **near)), CONFIG)
     assert not [space for space in look.half_spaces if space.track]
@@ -104,8 +104,8 @@ def test_crewed_traffic_has_no_half_space_and_the_law_still_leaves_it():
     assert (north, east, down) != pytest.approx((5.0, 0.0, 0.0), abs=0.5)
 
 
-def test_an_unknown_height_is_no_way_out():
-    """Such a track is predicted to exactly the own height."""
+def test_a_track_of_unknown_height_cannot_be_passed_above_or_below():
+    """Such a track is predicted at exactly the own height."""
     sinks = (-5.0, 0.0, 1.0)
     look = alternatives(decision(track(position_ned_m=(100.0, 3.0, -50.0), velocity_ned_mps=sinks)), CONFIG)
     above = alternatives(decision(track(position_ned_m=(100.0, 3.0, -62.0), velocity_ned_mps=sinks)), CONFIG)
@@ -127,7 +127,7 @@ def test_a_fence_and_a_floor_exclude_too():
     assert "descent or floor" not in dict(named(alternatives(decision(), CONFIG), "descend").excluded_by)
 
 
-def test_nobody_there_nothing_excluded():
+def test_without_tracks_nothing_is_excluded():
     look = alternatives(decision(), CONFIG)
     assert all(one.closest_m is None and not one.excluded_by for one in look.alternatives)
 
@@ -135,12 +135,12 @@ def test_nobody_there_nothing_excluded():
 @pytest.mark.parametrize(
     ("radius_m", "height_m", "above_m", "enters"),
     [
-        # Wider by manoeuvres to the side, and no taller; and the other way round.
+        # Wider because of manoeuvres to the side, and not taller; and the other way round.
         (40.0, 15.0, 14.0, True),
         (40.0, 15.0, 16.0, False),
         (14.0, 50.0, 49.0, True),
         (14.0, 50.0, 51.0, False),
-        # Of a record that does not tell the height, 1 / 0.85 as tall as wide.
+        # If the record has no height, the ratio of height to width is 1 / 0.85.
         (17.0, 0.0, 19.9, True),
         (17.0, 0.0, 20.1, False),
     ],
@@ -153,7 +153,7 @@ def test_an_alternative_enters_a_volume_as_tall_as_it_was(radius_m, height_m, ab
 
 @pytest.mark.parametrize("crewed", [False, True])
 @pytest.mark.parametrize(("growth_mps", "growth_down_mps"), [(0.0, 0.0), (2.0, 0.0), (0.0, 3.0), (1.0, 2.5)])
-def test_the_volume_of_a_track_is_the_one_that_was_logged(crewed, growth_mps, growth_down_mps):
+def test_the_volume_of_a_track_is_the_logged_one(crewed, growth_mps, growth_down_mps):
     settings = settings_of(CONFIG.avoidance, CONFIG.limits, Trajectory([0.0, 1.0], [(0, 0, 0), (5, 0, 0)]))
     own = k.Own(k.Vector(0, 0, -50), k.Vector(5, 0, 0), 1.5, 0.0, 0.0, math.inf, -math.inf)
     growths = (0.0, 0.0) if crewed else (growth_mps, growth_down_mps)
@@ -168,8 +168,8 @@ def test_the_volume_of_a_track_is_the_one_that_was_logged(crewed, growth_mps, gr
 
 
 @pytest.mark.parametrize("sigma_m", [0.1, 0.7, 4.0])
-def test_the_volume_of_what_a_sensor_measured_is_the_one_that_was_logged(sigma_m):
-    """It may be smaller than the own error alone would make it."""
+def test_the_volume_of_a_sensed_track_is_the_logged_one(sigma_m):
+    """The volume may be smaller than the own error alone would make it."""
     settings = settings_of(CONFIG.avoidance, CONFIG.limits, Trajectory([0.0, 1.0], [(0, 0, 0), (5, 0, 0)]))
     own = k.Own(k.Vector(0, 0, -50), k.Vector(5, 0, 0), 2.0, 0.0, 0.0, math.inf, -math.inf)
     there = k.Other(*[20.0, 0.0, -50.0, -5.0, 0.0, 0.0, 0.5, sigma_m, *[0.0] * 3, 1.0, *[0.0] * 6, 1.0])

@@ -46,13 +46,13 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def least_m(file: Path, seed: int = 1, law: str | None = None) -> float:
-    """Least separation that a scenario file gives when it is flown."""
+    """Least separation (m) in a flight of a scenario file."""
     return min(pair.min_separation_m for pair in pairs_of(fly(scenario_file.load(file), seed, law=law)))
 
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A crossing with noise, wind and delay, flown with avoidance and without, as the demo leaves it."""
+    """The run folder of a demo: a crossing with noise, wind and delay, flown with and without avoidance."""
     scenario = Scenario(
         aircraft=2,
         path=(
@@ -78,7 +78,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_an_incident_flown_again_comes_as_close(simulated: Path, tmp_path: Path, which: int) -> None:
-    """With avoidance and without; another seed makes no difference, for there is no chance in it."""
+    """This holds with and without avoidance. The seed makes no difference, because nothing is random."""
     folder = (simulated, simulated / "unavoided")[which]
     was_m = json.loads((simulated / "least.json").read_text())[which]
     file = tmp_path / "incident.toml"
@@ -101,10 +101,10 @@ def test_planned_paths_with_the_same_seed_are_the_same_run(
 
 
 @pytest.mark.parametrize(("which", "least"), [(".", 14.14), ("unavoided", 1.41)])
-def test_without_truth_it_is_what_the_aircrafts_own_positions_say(
+def test_without_true_positions_own_positions_are_exported(
     run_folder: Path, tmp_path: Path, which: str, least: float
 ) -> None:
-    """Nothing but positions, as two telemetry logs would give it."""
+    """The records contain only positions, as two telemetry logs would."""
     file = tmp_path / "incident.toml"
     run_export(run_folder / which, "--scenario", file)
     assert least_m(file) == pytest.approx(least, abs=0.5)
@@ -114,7 +114,7 @@ def test_without_truth_it_is_what_the_aircrafts_own_positions_say(
 
 
 def test_five_that_meet_come_as_close_again(tmp_path: Path) -> None:
-    """As in S2, all through one point; what counts is the closest of ten pairs."""
+    """As in S2, all pass one point. The closest of ten pairs is compared."""
     around = [(math.cos(2.0 * math.pi * k / 5), math.sin(2.0 * math.pi * k / 5)) for k in range(5)]
     scenario = Scenario(
         aircraft=5,
@@ -134,7 +134,7 @@ def test_five_that_meet_come_as_close_again(tmp_path: Path) -> None:
 
 
 def test_two_telemetry_logs_come_as_close_again(tmp_path: Path, made: SimpleNamespace) -> None:
-    """The clock of one station is 30 s wrong; the vehicles' UTC counts."""
+    """The clock of one station is wrong by 30 s; the vehicles' UTC is used."""
     one = write_tlog(tmp_path / "one.tlog", made, made.northbound)
     two = write_tlog(tmp_path / "two.tlog", made, made.eastbound(6.0), late_s=30.0)
     file = tmp_path / "incident.toml"
@@ -142,8 +142,8 @@ def test_two_telemetry_logs_come_as_close_again(tmp_path: Path, made: SimpleName
     assert least_m(file) == pytest.approx(6.0 / 2**0.5, abs=0.5)
 
 
-def test_delays_are_measured_where_nobody_tells_them(simulated: Path, tmp_path: Path) -> None:
-    """Location's time has a resolution of 0.1 s, and a tick is 0.05 s."""
+def test_delays_are_estimated_if_they_are_not_configured(simulated: Path, tmp_path: Path) -> None:
+    """The time stamp of a Location has a resolution of 0.1 s, and a tick is 0.05 s."""
     for path in simulated.glob("DMUCA*"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
     run = read_run(tmp_path)
@@ -151,7 +151,7 @@ def test_delays_are_measured_where_nobody_tells_them(simulated: Path, tmp_path: 
     assert (low, high) == (pytest.approx(0.55, abs=0.15), pytest.approx(1.0, abs=0.15))
 
 
-def test_what_cannot_be_flown_again_is_said(run_folder: Path, tmp_path: Path) -> None:
+def test_runs_that_cannot_be_flown_again_are_reported(run_folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="its record has no timed path; leave out --planned"):
         run_export(run_folder, "--scenario", tmp_path / "x.toml", "--planned")
     run = read_run(run_folder)
@@ -165,7 +165,7 @@ def test_what_cannot_be_flown_again_is_said(run_folder: Path, tmp_path: Path) ->
         run_export(run_folder, "--scenario", tmp_path / "x.toml")
 
 
-def test_tables_hold_what_was_flown_and_heard(run_folder: Path, tmp_path: Path) -> None:
+def test_tables_contain_flown_and_received_positions(run_folder: Path, tmp_path: Path) -> None:
     assert run_export(run_folder / "unavoided", "--csv", tmp_path / "t") == 0
     table = rows(tmp_path / "t" / "tracks.csv")
     assert len(table) == 2 * (601 + 61)
@@ -202,7 +202,7 @@ def test_parquet_holds_the_same(run_folder: Path, tmp_path: Path) -> None:
 
 
 def test_manoeuvres_hold_what_the_summary_tells(tmp_path: Path) -> None:
-    """A guarded mission that meets another one; its clock is not the run's."""
+    """A guarded mission meets another one; its clock differs from the run's time line."""
     for config, steps in guarded():
         write(tmp_path, config, steps)
     run = read_run(tmp_path)
@@ -312,7 +312,7 @@ def test_a_run_without_utc_has_no_kml(tmp_path: Path, made: SimpleNamespace) -> 
 
 
 @pytest.mark.parametrize("option", ["--csv", "--kml", "--scenario"])
-def test_what_cannot_be_written_is_said(run_folder: Path, tmp_path: Path, option: str) -> None:
+def test_unwritable_files_are_reported(run_folder: Path, tmp_path: Path, option: str) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="cannot be"):
         run_export(run_folder, option, tmp_path / "file" / "inside")

@@ -1,4 +1,4 @@
-"""MCAP files and ROS bags, opened by the readers of others."""
+"""MCAP files and ROS bags, read by other projects' readers."""
 
 import json
 import sys
@@ -165,7 +165,7 @@ def test_an_onboard_log_is_exported_with_heights_above_the_ellipsoid(tmp_path: P
     assert places[0]["altitude"] == pytest.approx(onboard_logs.ALT_M + 48.0, abs=0.01)
     traffic = [content for topic, _, _, content in found if topic == "/a_4_winds/heard/TEST123"]
     assert len(traffic) == onboard_logs.SECONDS
-    # It flies north; in this frame, x points east.
+    # The vehicle flies north; in this frame, x points east.
     pose = next(content["pose"] for topic, _, _, content in found if topic == "/a_4_winds/pose")
     assert pose["orientation"]["z"] == pytest.approx(np.sin(np.pi / 4))
 

@@ -1,4 +1,4 @@
-"""Facts of a record: what its columns hold, and that they are few beside it."""
+"""Facts of a record: the content of the columns, and that they are small compared with the record."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_track_has_a_row_a_second_with_its_least_distance(made: SimpleNamespac
     track = facts.tracks["DMUCA002"]
     assert len(track.now_s) == 61
     assert (np.diff(track.now_s) > 0).all()
-    # 5 m/s each, decided at 5 Hz: the least is taken at one of the decisions, not at the second.
+    # 5 m/s each, with decisions at 5 Hz: the minimum is taken over the decisions within the second.
     times = facts.decisions.now_s
     truth = np.hypot(20.0 - 5.0 * (times - 30.0), 5.0 * (times - 30.0))
     assert track.distance_m.min() == pytest.approx(truth.min(), abs=0.01)
@@ -62,7 +62,7 @@ def test_a_track_has_a_row_a_second_with_its_least_distance(made: SimpleNamespac
     }
 
 
-def test_what_is_told_again_is_kept_when_it_changes() -> None:
+def test_repeated_events_are_kept_only_when_they_change() -> None:
     def beat(mode: int, armed: bool) -> Heartbeat:
         return Heartbeat(
             system_id=1,
@@ -78,7 +78,7 @@ def test_what_is_told_again_is_kept_when_it_changes() -> None:
     assert [now for now, _ in facts.rare] == [0.0, 2.0, 3.0, 5.0]
 
 
-def test_who_was_heard_from_an_address() -> None:
+def test_identities_are_kept_by_radio_address() -> None:
     names = ("A", "B", "A")
     steps = [
         Step(
@@ -97,7 +97,7 @@ def test_who_was_heard_from_an_address() -> None:
     assert gather(steps).heard["aa"].uas_ids == ("A", "B")
 
 
-def test_decisions_tell_where_it_was_only_without_fixes(made: SimpleNamespace) -> None:
+def test_decisions_give_positions_only_without_fixes(made: SimpleNamespace) -> None:
     steps = made.steps(made.northbound, made.eastbound(20.0))
     blind = [
         Step(
@@ -112,16 +112,16 @@ def test_decisions_tell_where_it_was_only_without_fixes(made: SimpleNamespace) -
     fixes = gather(steps).fixes
     same = np.isin(fixes[:, 0], decided.decided[:, 0])
     assert decided.decided[:, 1:4] == pytest.approx(fixes[same][:, 1:4], abs=1e-3)
-    # What is kept of a decision has its time, three speeds and two flags.
+    # Of a decision, the time, three speeds and two flags are kept.
     kept = whole.decisions
     assert (
         sum(rows.nbytes for rows in (kept.now_s, kept.speeds_mps, kept.feasible, kept.conflict)) == 301 * 22
     )
 
 
-def test_how_near_a_sender_was_counts_from_where_it_is_by_now() -> None:
-    """Heard 1 s late from 30 m ahead, coming at 4 m/s, 10 m higher where its height can be compared; not with
-    an own position of 3 s before."""
+def test_distances_use_the_senders_extrapolated_position() -> None:
+    """A message from 30 m ahead is received 1 s late, at 4 m/s closing speed, 10 m higher if its height can
+    be compared. No distance is computed with an own position that is 3 s old."""
 
     def at(now_s: float, *, gnss: bool) -> Step:
         place = LocalFrame(47.0, 8.0, 400.0).to_geodetic(30.0, 0.0, -10.0)
@@ -173,7 +173,7 @@ def test_steps_are_read_anew_and_end_where_the_facts_do(run_folder: Path) -> Non
     assert [len(list(one.steps())) for _ in range(2)] == [one.facts.steps] * 2
 
 
-def test_a_mode_counts_from_when_current_mode_told_it() -> None:
+def test_current_mode_sets_the_time_of_a_mode_change() -> None:
     beat = Heartbeat(
         system_id=1,
         firmware=Firmware.PX4,

@@ -1,4 +1,4 @@
-"""What went wrong is told apart from what only sounds like it."""
+"""Faults are separated from ordinary events that look like faults."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ONE = Config(identity=IdentityConfig(uas_id="ONE"))
 
 
 def told(folder, *things):
-    """What is bad and what is ordinary, of things that happen at 1 s, 2 s and so on."""
+    """The faults and the ordinary events in a record with the given events at 1 s, 2 s and so on."""
     steps = []
     for k, thing in enumerate(things, start=1):
         events = (thing,) if isinstance(thing, VehicleText) else ()
@@ -53,7 +53,7 @@ def test_other_loud_messages_are_faults(tmp_path, text):
     assert ordinary == []
 
 
-def test_a_quiet_start_up_message_is_not_told(tmp_path):
+def test_a_start_up_message_of_low_severity_is_not_listed(tmp_path):
     assert told(tmp_path, VehicleText(severity=6, text="GROUND START")) == ([], [])
 
 
@@ -77,7 +77,7 @@ def test_a_pilot_who_takes_over_at_the_end_is_no_fault(tmp_path, previous, state
     assert (len(bad), len(ordinary)) == {True: (1, 0), False: (0, 1), None: (0, 0)}[fault]
 
 
-def test_a_change_of_authority_is_told_once(tmp_path):
+def test_a_change_of_authority_is_reported_once(tmp_path):
     said = Say(severity=Severity.WARNING, text="DMUCA fault: no GNSS")
     other = Say(severity=Severity.WARNING, text="DMUCA: ADS-B full (200)")
     bad, _ = told(tmp_path, change("guarding", "fault", "unfit"), said, other)
@@ -95,7 +95,7 @@ def test_a_doubt_that_is_withdrawn_is_one_row_with_its_end_and_meaning(tmp_path)
     )
     (row,) = bad
     assert (row["time_s"], row["until_s"]) == (1.0, 2.0)
-    assert row["text"] == f"{words}; a companion says so while it has no position to send"
+    assert row["text"] == f"{words}; a companion reports this while it has no position to send"
 
 
 @pytest.mark.parametrize("withdrawn", [True, False])
@@ -110,7 +110,7 @@ def test_the_first_lines_say_what_a_doubt_means(tmp_path, withdrawn):
     assert line == f"Faults and warnings: 1; track TWO: B: {words}{after}"
 
 
-def test_what_happens_often_is_one_row_and_the_first_lines_count_it(tmp_path):
+def test_repeated_faults_are_one_row_and_are_counted(tmp_path):
     steps = [step(float(k), events=(VehicleText(severity=3, text="ODID: lost"),)) for k in range(8)]
     write(tmp_path, ONE, steps)
     figures = describe(read_run(tmp_path))
@@ -145,7 +145,9 @@ def test_piped_tables_cut_no_word(tmp_path):
     ("missing_percent", "silences", "words"),
     [(63.2, 0, "thinned log?"), (63.2, 2, ""), (3.0, 0, "")],
 )
-def test_what_a_thinned_log_lacks_is_not_told_as_loss(tmp_path, missing_percent, silences, words):
+def test_messages_missing_from_a_thinned_log_are_not_reported_as_lost(
+    tmp_path, missing_percent, silences, words
+):
     write(tmp_path, ONE, [step(0.0), step(1.0)])
     figures = describe(read_run(tmp_path))
     figures["aircraft"][0]["link"] = [

@@ -1,4 +1,4 @@
-"""Run folders read back: what survives damage, one time line, one frame, separations against closed forms."""
+"""Reading run folders: damage, the common time line and frame, and separations against closed forms."""
 
 import math
 from pathlib import Path
@@ -30,7 +30,7 @@ def test_a_whole_folder_is_read(run_folder: Path) -> None:
     assert read_unavoided(run_folder / "unavoided") is None
 
 
-def test_a_torn_tail_costs_the_tail_only(run_folder: Path) -> None:
+def test_only_the_torn_tail_of_a_record_is_lost(run_folder: Path) -> None:
     path = run_folder / "DMUCA001.events"
     path.write_bytes(path.read_bytes()[:-7])
     run = read_run(run_folder)
@@ -39,7 +39,7 @@ def test_a_torn_tail_costs_the_tail_only(run_folder: Path) -> None:
     assert problem.startswith("DMUCA001.events: the file is cut off; its last ")
 
 
-def test_damage_in_the_middle_is_said_and_what_stands_before_is_read(run_folder: Path) -> None:
+def test_a_record_is_read_up_to_damage_which_is_reported(run_folder: Path) -> None:
     path = run_folder / "DMUCA002.events"
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
@@ -54,7 +54,7 @@ def test_damage_in_the_middle_is_said_and_what_stands_before_is_read(run_folder:
 
 
 def test_distances_are_the_same_taken_part_by_part(run_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A part at a time is in memory, so that a long flight takes no more of it."""
+    """Only one part is in memory at a time, so a long flight needs no more memory."""
     ways = flown(read_run(run_folder))
     (whole,) = separations(ways.paths)
     monkeypatch.setattr(flown_module, "PART_S", 7.0)
@@ -68,14 +68,14 @@ def test_distances_are_the_same_taken_part_by_part(run_folder: Path, monkeypatch
     (thin,) = flown_module.thinned(ways.paths, 5.0)
     assert thin.minimum_m == least.minimum_m
     assert thin.distance_m.min() == parted.distance_m.min()
-    # Where parts meet, one of the two has to be in two parts.
+    # At the border of two parts, one of the two samples belongs to both.
     assert 13 <= len(thin.time_s) <= 13 + 8
-    # 20 Hz, and the samples of two aircraft at 10 Hz at most.
+    # The grid at 20 Hz, plus at most the samples of two aircraft at 10 Hz.
     assert max(len(time) for time, _ in flown_module._relative(*ways.paths)) <= 7 * 40 + 3
 
 
 @pytest.mark.parametrize("content", [None, b"", b"not a record"])
-def test_what_is_no_run_is_refused(tmp_path: Path, content: bytes | None) -> None:
+def test_paths_that_are_no_run_are_refused(tmp_path: Path, content: bytes | None) -> None:
     folder = tmp_path / "run"
     if content is not None:
         folder.mkdir()
@@ -90,7 +90,8 @@ def test_an_empty_folder_is_no_run(tmp_path: Path) -> None:
 
 
 def test_the_closest_approach_is_that_of_the_geometry(run_folder: Path) -> None:
-    """Two straight crossing paths at one speed: miss / sqrt(2), half the miss distance's time late."""
+    """Two straight crossing paths at one speed: the minimum is miss / sqrt(2), at half the time of the miss
+    distance after the crossing."""
     pair = closest(flown(read_run(run_folder)))
     assert (pair.first, pair.second, pair.required_m) == ("DMUCA001", "DMUCA002", 10.0)
     assert pair.minimum_m == pytest.approx(20.0 / math.sqrt(2.0), abs=0.02)
@@ -108,13 +109,13 @@ def test_positions_come_from_decisions_where_there_are_no_others(
     assert pair.minimum_m == pytest.approx(20.0 / math.sqrt(2.0), abs=0.02)
 
 
-def test_without_any_position_there_is_nothing_to_show(tmp_path: Path, made: SimpleNamespace) -> None:
+def test_without_any_position_there_are_no_paths(tmp_path: Path, made: SimpleNamespace) -> None:
     made.write_events(tmp_path, "a", [])
     with pytest.raises(ConfigError, match="no aircraft recorded a position"):
         flown(read_run(tmp_path))
 
 
-def test_clocks_that_differ_are_put_together_by_utc(tmp_path: Path, made: SimpleNamespace) -> None:
+def test_different_clocks_are_aligned_by_utc(tmp_path: Path, made: SimpleNamespace) -> None:
     other = made.eastbound(20.0)
     made.write_events(tmp_path, "a", made.steps(made.northbound, other, 1000.0))
     late = [step for step in made.steps(other, made.northbound, 55.5) if step.now_s >= 60.0]
@@ -127,7 +128,7 @@ def test_clocks_that_differ_are_put_together_by_utc(tmp_path: Path, made: Simple
     assert closest(ways).minimum_time_s == pytest.approx(32.0, abs=0.11)
 
 
-def test_without_utc_one_clock_is_taken_and_said(tmp_path: Path, made: SimpleNamespace) -> None:
+def test_without_utc_a_common_clock_is_assumed_and_reported(tmp_path: Path, made: SimpleNamespace) -> None:
     other = made.eastbound(20.0)
     made.write_events(tmp_path, "a", made.steps(made.northbound, other))
     made.write_events(tmp_path, "b", made.steps(other, made.northbound, utc=False))
@@ -143,7 +144,7 @@ def test_without_utc_one_clock_is_taken_and_said(tmp_path: Path, made: SimpleNam
         (5.0, 0.0, "one clock shared by all aircraft"),
     ],
 )
-def test_the_line_counts_from_the_start_of_the_paths_where_that_is_one(
+def test_time_zero_is_the_common_start_of_the_paths(
     tmp_path: Path, made: SimpleNamespace, other_start_s: float, zero_at_s: float, words: str
 ) -> None:
     other = made.eastbound(20.0)
@@ -157,8 +158,8 @@ def test_the_line_counts_from_the_start_of_the_paths_where_that_is_one(
     assert closest(ways).minimum_time_s == pytest.approx(32.0 - zero_at_s, abs=0.01)
 
 
-def test_a_place_inside_a_gap_is_not_known(tmp_path: Path, made: SimpleNamespace) -> None:
-    """The closest approach lies in the gap: it must not be made up from a straight line through it."""
+def test_positions_inside_a_gap_are_unknown(tmp_path: Path, made: SimpleNamespace) -> None:
+    """The closest approach lies in the gap. It must not be interpolated over the gap."""
     other = made.eastbound(20.0)
     kept = [s for s in made.steps(made.northbound, other) if not 25.05 < s.now_s < 38.95]
     made.write_events(tmp_path, "a", kept)
@@ -171,7 +172,7 @@ def test_a_place_inside_a_gap_is_not_known(tmp_path: Path, made: SimpleNamespace
     assert pair.minimum_m > 30.0
 
 
-def test_aircraft_never_up_together_have_no_separation(tmp_path: Path, made: SimpleNamespace) -> None:
+def test_aircraft_never_in_the_air_together_have_no_separation(tmp_path: Path, made: SimpleNamespace) -> None:
     found = made.steps(made.northbound, made.eastbound(0.0))
     made.write_events(tmp_path, "a", [s for s in found if s.now_s < 20.0])
     made.write_events(tmp_path, "b", [s for s in found if s.now_s > 40.0])

@@ -1,4 +1,4 @@
-"""Onboard logs against the readers of others: pymavlink's DFReader and pyulog.
+"""Onboard logs compared with other projects' readers: pymavlink's DFReader and pyulog.
 
 Real logs are not part of the project. DMUCA_LOGS names a folder that is searched for them.
 """
@@ -42,7 +42,7 @@ class Other:
     places: list[tuple[float, float, float]]
     """Latitude, longitude (deg), altitude above mean sea level (m) of every valid position."""
     modes: list[object]
-    """The firmware's numbers, only where they change."""
+    """Mode numbers of the firmware, one for each change."""
     texts: list[str]
     utc_offset_s: float | None
 
@@ -125,7 +125,7 @@ def agrees(path: Path) -> Run:
     modes = changes([mode_name(beat) if is_px4 else beat.custom_mode for beat in beats])
     assert modes == other.modes
     texts = Counter(what.text for _, what in one.facts.rare if isinstance(what, VehicleText))
-    # Of a DataFlash log those texts that tell events and errors are ours alone.
+    # For a DataFlash log, the texts about events and errors are made by our reader only.
     assert not Counter(map(plain, other.texts)) - texts
     if other.utc_offset_s is None:
         assert one.facts.utc_offset_s is None
@@ -189,7 +189,7 @@ MISSING = {
 
 
 @pytest.mark.parametrize("name", ABOUT)
-def test_what_a_log_is_and_does_not_tell_is_said(tmp_path: Path, name: str):
+def test_the_kind_of_a_log_and_missing_data_are_reported(tmp_path: Path, name: str):
     run, _ = one_of(MADE[name](tmp_path / name))
     assert ABOUT[name] in run.notes[0]
     assert MISSING[name] in run.notes[1]
@@ -213,13 +213,13 @@ def test_figures_of_a_log(tmp_path: Path, name: str):
         "least_satellites": 9 if name == "copter.bin" else 10,
         "worst_accuracy_m": pytest.approx(0.4 if name == "copter.bin" else 0.9),
     }
-    # Towards the north-west at 5 m/s: from the south-east.
+    # The wind blows towards the north-west at 5 m/s, so it comes from the south-east.
     wind = one["wind"]
     assert (wind["mean_mps"], wind["max_mps"]) == (pytest.approx(5.0), pytest.approx(5.0))
     assert wind["from_deg"] == pytest.approx(math.degrees(math.atan2(-4.0, 3.0)) % 360.0)
     (traffic,) = one["traffic"]
     assert (traffic["identity"], traffic["by"], traffic["messages"]) == (f"{logs.ICAO:06X}", "ADS-B", 20)
-    # It came 40 m nearer in each second since it was heard.
+    # The aircraft came 40 m nearer in each second since it was received.
     age_s = (0.0 if name == "copter.bin" else 1.0) + ADSB_STAMP_S
     assert traffic["nearest"]["aside_m"] == pytest.approx(400.0 - 40.0 * age_s, abs=1.5)
     assert traffic["nearest"]["above_m"] == pytest.approx(100.0, abs=1.5)
@@ -240,7 +240,7 @@ def test_two_logs_together_are_on_the_utc_of_their_receivers(tmp_path: Path):
     (separation,) = describe(run)["separations"]
     metres = 0.0004 * 111_320.0 * math.cos(math.radians(logs.PLACE[0]))
     assert separation["minimum_m"] == pytest.approx(metres, rel=5e-3)
-    # A log that starts 7 s later by UTC has flown the same way 7 s later.
+    # A log that starts 7 s later by UTC has the same path 7 s later.
     late = logs.UTC_S + 7.0
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(logs, "UTC_S", late)
@@ -260,14 +260,14 @@ def test_a_folder_of_onboard_logs_is_one_run(tmp_path: Path):
     assert problem.startswith("third: the log is left out, because it has no UTC")
 
 
-def test_a_log_without_utc_says_so_and_is_shown_alone(tmp_path: Path):
+def test_a_log_without_utc_is_reported_and_shown_alone(tmp_path: Path):
     run, one = one_of(logs.old_px4(tmp_path / "x.ulg"))
     assert one.facts.utc_offset_s is None
     assert "the log has no UTC; times count from the vehicle's start" in run.notes[2]
     assert describe(run)["clock"] == "the vehicle's clock, since it started"
 
 
-def test_damage_is_said(tmp_path: Path):
+def test_damage_is_reported(tmp_path: Path):
     run, one = one_of(logs.damaged_copter(tmp_path / "x.bin"))
     assert len(one.facts.fixes) > 190
     assert run.problems[0].startswith("x.bin: 1 damaged spans")

@@ -1,4 +1,4 @@
-"""Telemetry logs: against pymavlink's own reading, and logs made here for what recordings do not hold."""
+"""Telemetry logs: recordings compared with pymavlink's reader, and synthetic logs for other cases."""
 
 import functools
 import gzip
@@ -54,7 +54,7 @@ def recording(unpacked: Path, name: str) -> Path:
 
 @functools.cache
 def opened(path: Path) -> Run:
-    """Read once for all tests: nothing of a run changes."""
+    """The logs, read once for all tests, because runs are immutable."""
     return read_run(path)
 
 
@@ -86,11 +86,11 @@ def test_positions_and_counts_are_those_that_pymavlink_reads(unpacked: Path, nam
     assert [(p.lat_deg, p.lon_deg, p.alt_msl_m) for p in found] == places
     assert one.link is not None
     health = {(c.system_id, c.component_id): c for c in one.link.components}
-    # CURRENT_MODE is known to us alone.
+    # Only our reader knows CURRENT_MODE.
     unknown = one.link.unknown + nameless
     assert sum(c.frames for c in health.values()) == sum(frames.values()) + unknown
     for sender, count in frames.items():
-        # pymavlink does not say who sent a message that it does not know.
+        # pymavlink does not give the sender of a message that it does not know.
         assert 0 <= health[sender].frames - count <= unknown
         if unknown == 0:
             assert health[sender].missing == skipped[sender]
@@ -108,7 +108,7 @@ def test_positions_and_counts_are_those_that_pymavlink_reads(unpacked: Path, nam
         ("uavlogviewer_vtol", "ArduPilot fixed wing; modes QLOITER, CIRCLE", "own Remote ID", 0),
     ],
 )
-def test_what_a_log_is_and_does_not_tell_is_said(
+def test_the_kind_of_a_log_and_missing_data_are_reported(
     unpacked: Path, name: str, about: str, missing: str, problems: int
 ) -> None:
     run = opened(recording(unpacked, name))
@@ -125,7 +125,7 @@ def test_what_a_log_is_and_does_not_tell_is_said(
     assert f"note: {run.notes[1]}" in text(figures)
 
 
-def test_a_flight_over_a_radio_tells_how_the_link_was(unpacked: Path) -> None:
+def test_link_quality_is_read_from_a_flight_over_a_radio(unpacked: Path) -> None:
     run = opened(recording(unpacked, "dronekit_flight_replay"))
     link = run.aircraft[0].link
     assert link is not None
@@ -134,7 +134,7 @@ def test_a_flight_over_a_radio_tells_how_the_link_was(unpacked: Path) -> None:
     assert (link.counts.corrupt_spans, link.counts.torn_bytes) == (1314, 19)
     assert len(link.reboots_s) == 1
     autopilot = next(c for c in link.components if (c.system_id, c.component_id) == (1, 1))
-    # Its clock began anew behind a silence.
+    # The vehicle's clock restarted after a silence.
     assert any(start <= link.reboots_s[0] <= start + 30.0 for start, _ in autopilot.gaps_s)
     figures = describe(run)
     (reboot,) = (fault for fault in figures["aircraft"][0]["faults"] if "restarted" in fault["text"])
@@ -149,7 +149,7 @@ def test_a_flight_over_a_radio_tells_how_the_link_was(unpacked: Path) -> None:
     assert (row["silences"], row["longest_silence_s"]) == (len(autopilot.gaps_s), max(autopilot.gaps_s[:, 1]))
 
 
-def test_adsb_and_setpoints_are_there(unpacked: Path) -> None:
+def test_adsb_and_setpoints_are_read(unpacked: Path) -> None:
     (one,) = opened(recording(unpacked, "ardupilot_sitl_odid_adsb")).aircraft
     assert len({a.icao for a in told(one, AdsbVehicle) if isinstance(a, AdsbVehicle)}) == 19
     (one,) = opened(recording(unpacked, "px4_sih_offboard")).aircraft
@@ -182,7 +182,7 @@ def setpoint(target: int, frame: int, mask: int, north: float) -> mavlink.MAVLin
 
 @pytest.fixture
 def two(tmp_path: Path) -> Path:
-    """A rover and a plane on one log with a ground station that commands them."""
+    """A log with a rover, a plane, and a ground station that commands them."""
     rover, plane, station = MavlinkWriter(3, 1), MavlinkWriter(7, 1), MavlinkWriter(255, 190)
     camera = MavlinkWriter(7, 100)
     records = []
@@ -203,7 +203,7 @@ def two(tmp_path: Path) -> Path:
     return log(tmp_path / "field.tlog", records)
 
 
-def test_every_vehicle_of_a_log_is_an_aircraft_and_gets_what_is_its_own(two: Path) -> None:
+def test_every_vehicle_of_a_log_is_an_aircraft_with_its_own_data(two: Path) -> None:
     run = read_run(two)
     rover, plane = run.aircraft
     assert (rover.name, plane.name) == ("field 3", "field 7")
@@ -218,7 +218,7 @@ def test_every_vehicle_of_a_log_is_an_aircraft_and_gets_what_is_its_own(two: Pat
     assert describe(run)["separations"][0]["minimum_m"] == pytest.approx(111.2, abs=0.1)
 
 
-def test_an_autopilot_that_nobody_knows_is_shown_by_its_positions(tmp_path: Path) -> None:
+def test_an_unknown_autopilot_is_shown_by_its_positions(tmp_path: Path) -> None:
     other = MavlinkWriter(1, 1)
     records = [(t, other.pack(m)) for t in range(5) for m in (beat(2, 0), place(t, 47.0))]
     run = read_run(log(tmp_path / "inav.tlog", records))
@@ -239,13 +239,13 @@ def test_without_positions_the_summary_says_so(tmp_path: Path) -> None:
     assert "no aircraft recorded a position" in text(figures)
 
 
-def test_a_clock_that_is_set_back_does_not_turn_time_round(tmp_path: Path) -> None:
+def test_time_does_not_decrease_when_a_clock_is_set_back(tmp_path: Path) -> None:
     one = MavlinkWriter(1, 1)
     stamps = [0.0, 1.0, 2.0, 1.9, 3.0, -3597.0, -3596.0]
     records = [(t, one.pack(m)) for n, t in enumerate(stamps) for m in (beat(2, 3), place(n, 47.0))]
     run = read_run(log(tmp_path / "ntp.tlog", records))
     times = run.aircraft[0].facts.fixes[:, 0] - UTC_S
-    # Of the two at 2.0 s the last counts.
+    # Of the two positions at 2.0 s the last one counts.
     assert times.tolist() == pytest.approx([0.0, 1.0, 2.0, 3.0, 4.0])
     assert "its clock was set back 1 times" in run.problems[0]
 
@@ -305,7 +305,7 @@ def test_a_log_of_ground_stations_has_no_vehicle(tmp_path: Path) -> None:
         read_run(path)
 
 
-def test_a_torn_log_is_read_up_to_there(two: Path) -> None:
+def test_a_torn_log_is_read_up_to_its_end(two: Path) -> None:
     two.write_bytes(two.read_bytes()[:-7])
     run = read_run(two)
     assert len(run.aircraft) == 2

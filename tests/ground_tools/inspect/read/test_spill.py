@@ -1,4 +1,4 @@
-"""Rows in temporary files: the same numbers as in memory, memory that is given back, a disk without room."""
+"""Rows in temporary files: the same values as in memory, released memory, and a full disk."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def test_blocks_come_back_as_one_table() -> None:
     assert (table.ravel() == np.arange(3.0 * SIZE)).all()
 
 
-def test_what_is_released_takes_no_memory_and_can_be_read_again() -> None:
+def test_released_rows_take_no_memory_and_can_be_read_again() -> None:
     table = spilled(_blocks(), columns=3)
     before = _resident_mb()
     total = sum(float(table[at : at + 1000].sum()) for at in range(0, SIZE, 1000))
     assert _resident_mb() - before > 10.0, "12 MB were not read"
-    release(table[5:, 1])  # a view of it will do
+    release(table[5:, 1])  # a view is sufficient
     assert _resident_mb() - before < 2.0
     assert sum(float(table[at : at + 1000].sum()) for at in range(0, SIZE, 1000)) == total
 
@@ -55,7 +55,7 @@ def test_a_single_block_and_none_stay_in_memory() -> None:
 
 def _fixes(count: int) -> Iterator[Step]:
     for index in range(count):
-        # Every third comes twice at one time: the last counts.
+        # Every third fix comes twice at the same time; the last one counts.
         for height in (0.0, 1.0) if index % 3 == 0 else (2.0,):
             fix = GlobalPosition(
                 time_boot_s=0.1 * index,
@@ -78,7 +78,7 @@ def test_fixes_of_a_long_flight_are_those_of_one_kept_in_memory(monkeypatch: pyt
     assert (long == kept).all()
 
 
-def test_a_disk_without_room_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with Path("/dev/full").open("wb", buffering=0) as full:
         monkeypatch.setattr(tempfile, "TemporaryFile", lambda: full)
         with pytest.raises(ConfigError, match=r"a temporary file cannot be written: No space left.*TMPDIR"):

@@ -1,4 +1,5 @@
-"""True positions beside the records: preferred where they are whole, and the run's folders that hold them."""
+"""True positions beside the records: they are preferred if complete; and the run folders that contain
+them."""
 
 import json
 import math
@@ -19,7 +20,7 @@ from sitl_mocks.encounters.scenario_file import PathSettings, Scenario
 
 @pytest.fixture
 def with_truth(run_folder: Path, made: SimpleNamespace) -> Path:
-    """Own positions say 20 / sqrt(2) m, the truth 30 / sqrt(2) m."""
+    """A run whose closest approach is 20 / sqrt(2) m by own positions and 30 / sqrt(2) m by true ones."""
     made.write_truth(run_folder, "DMUCA001", made.northbound)
     made.write_truth(run_folder, "DMUCA002", made.eastbound(30.0))
     return run_folder
@@ -65,7 +66,7 @@ def far_away(path: Path) -> None:
         (lambda path: path.write_text("nonsense\n"), "line 1 must be utc_s"),
     ],
 )
-def test_own_positions_of_all_where_the_truth_of_one_cannot_be_used(
+def test_own_positions_are_used_if_one_truth_file_is_unusable(
     with_truth: Path, damage: object, words: str
 ) -> None:
     assert callable(damage)
@@ -115,7 +116,8 @@ def test_damaged_rows_are_refused(tmp_path: Path, rows: str) -> None:
 
 @pytest.fixture
 def swarm_folder(tmp_path: Path, made: SimpleNamespace) -> Path:
-    """Truth and manifest at the top, one run folder for each companion inside."""
+    """The folder of a swarm: true positions and manifest at the top, and a run folder for each companion
+    inside."""
     folder = tmp_path / "20260101T000000Z-swarm"
     other = made.eastbound(20.0)
     made.write_events(folder / "20260101T000002Z-A[1]", "A[1]", made.steps(made.northbound, other))
@@ -135,7 +137,7 @@ def test_a_swarm_is_one_run(swarm_folder: Path) -> None:
     assert separations(ways.paths)[0].minimum_m == pytest.approx(30.0 / math.sqrt(2.0), abs=0.002)
 
 
-def test_an_aircraft_that_a_swarm_lacks_or_has_twice_is_said(
+def test_missing_and_duplicate_aircraft_of_a_swarm_are_reported(
     swarm_folder: Path, made: SimpleNamespace
 ) -> None:
     (swarm_folder / "20260101T000001Z-B" / "B.events").unlink()
@@ -151,11 +153,11 @@ def test_an_aircraft_that_a_swarm_lacks_or_has_twice_is_said(
 def test_the_folder_of_all_runs_is_no_run(run_folder: Path) -> None:
     with pytest.raises(ConfigError, match="no event record") as refused:
         read_run(run_folder.parent)
-    assert str(refused.value).endswith(f"but one run; name it: {run_folder}")
+    assert str(refused.value).endswith(f"but it contains a run; give its path: {run_folder}")
 
 
 def test_figures_agree_with_the_verdict_of_the_demo(tmp_path: Path) -> None:
-    """Two aircraft fly 10 s, crossing 4 m apart; the demo knows every tick, the tool reads the folder."""
+    """Two aircraft fly for 10 s and cross 4 m apart. The demo uses every tick; the tool reads the folder."""
     scenario = Scenario(
         duration_s=10.0,
         path=(

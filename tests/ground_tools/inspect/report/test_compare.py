@@ -1,4 +1,4 @@
-"""Two runs beside each other: configuration, pairs, figures; aligned at take-off."""
+"""Comparison of two runs, aligned at take-off: configuration, pairs and figures."""
 
 import json
 from pathlib import Path
@@ -20,7 +20,7 @@ def value(figures, what):
     return next(row["values"] for row in figures["figures"] if row["what"].startswith(what))
 
 
-def test_what_differs_stands_side_by_side(run_folder: Path) -> None:
+def test_differences_are_listed_side_by_side(run_folder: Path) -> None:
     figures = compare([read_run(run_folder), read_run(run_folder / "unavoided")])
     assert figures["runs"] == [run_folder.name, "unavoided"]
     (pair,) = figures["pairs"]
@@ -49,7 +49,7 @@ def test_configuration_that_differs_is_named_by_key(tmp_path: Path) -> None:
     ]
 
 
-def test_the_operators_secret_is_not_told(tmp_path: Path) -> None:
+def test_the_operators_secret_is_not_printed(tmp_path: Path) -> None:
     for folder, secret in (("a", "FIN87astrdge12k8-xyz"), ("b", None)):
         remote_id = RemoteIdConfig(operator_id=secret)
         config = Config(identity=IdentityConfig(uas_id="ONE"), remote_id=remote_id)
@@ -60,7 +60,7 @@ def test_the_operators_secret_is_not_told(tmp_path: Path) -> None:
 
 
 def test_times_count_from_the_first_take_off(tmp_path: Path, made: SimpleNamespace) -> None:
-    """The second run's companion was on for 100 s longer before the same flight."""
+    """In the second run, the companion ran 100 s longer before the same flight."""
     beat = Heartbeat(
         system_id=1, firmware=Firmware.PX4, vehicle_type=2, custom_mode=0, mode=FlightMode.HOLD, armed=True
     )
@@ -77,7 +77,7 @@ def test_times_count_from_the_first_take_off(tmp_path: Path, made: SimpleNamespa
     assert figures["pairs"][0]["time_s"] == pytest.approx([30.2 - 10.5, 30.2 - 10.5], abs=0.01)
 
 
-def test_a_run_without_positions_is_compared_by_what_it_has(
+def test_a_run_without_positions_is_compared_by_its_other_figures(
     run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bare = tmp_path / "bare"
@@ -107,7 +107,7 @@ def test_a_pair_that_is_not_in_every_run_is_left_open(run_folder: Path) -> None:
     assert "14.14 m at 32.0 s" in text(figures)
 
 
-def test_runs_of_one_name_are_told_apart(run_folder: Path) -> None:
+def test_runs_with_the_same_name_get_distinct_names(run_folder: Path) -> None:
     run = read_run(run_folder)
     name = run_folder.name
     assert compare([run, run, run])["runs"] == [name, f"{name} (2)", f"{name} (3)"]
@@ -122,6 +122,6 @@ def test_the_command_prints_or_gives_json(run_folder: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize("extra", [["--save", "x.rrd"], ["--report", "x.html"], []])
-def test_what_does_not_go_together_is_refused(run_folder: Path, extra: list[str]) -> None:
+def test_contradicting_options_are_refused(run_folder: Path, extra: list[str]) -> None:
     with pytest.raises(ConfigError, match="--compare"):
         inspect("--compare", run_folder, *extra)

@@ -1,4 +1,4 @@
-"""What the plots of the report draw, read from the figures themselves."""
+"""Content of the report's plots, read from the matplotlib figures."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def drawn(monkeypatch):
 
 @pytest.fixture
 def adsb_log(tmp_path):
-    """The log of an ArduPilot that heard 19 aircraft, and that has no position from 0.6 to 10.8 s."""
+    """The log of an ArduPilot that received 19 aircraft and has no own position from 0.6 to 10.8 s."""
     path = tmp_path / "ardupilot_sitl_odid_adsb.tlog"
     with gzip.open(DATA / f"{path.name}.gz") as packed, path.open("wb") as plain:
         shutil.copyfileobj(packed, plain)
@@ -101,13 +101,13 @@ def test_a_thinned_line_keeps_its_gaps_and_peaks(monkeypatch):
     assert np.nanmax(shown) == time[-1]
 
 
-def test_where_positions_are_rare_their_usual_distance_is_no_gap():
+def test_the_usual_interval_of_rare_positions_is_no_gap():
     time = np.arange(0.0, 100.0, 5.0)
     assert not np.isnan(plots.open_at_gaps(time, time)[0]).any()
 
 
 def test_the_worst_age_is_on_the_axis(tmp_path, drawn):
-    """Panels share one axis: the limits of a first, quiet one must not hold for the next."""
+    """The panels share one axis. The limits of a first panel with small values must not apply to the next."""
     for name, worst in (("ONE", 0.8), ("TWO", 2.96), ("THREE", 1.5)):
         config = Config(identity=IdentityConfig(uas_id=name), flight=FlightConfig(use="fly"))
         ages = [worst if k == 17 else 0.4 for k in range(40)]
@@ -123,7 +123,7 @@ def test_the_worst_age_is_on_the_axis(tmp_path, drawn):
 
 
 @pytest.mark.parametrize("count", [6, 18, 25])
-def test_every_mode_has_a_look_of_its_own(tmp_path, drawn, count):
+def test_every_mode_has_a_distinct_look(tmp_path, drawn, count):
     """An ordinary guarded flight has six modes."""
     beats = [Heartbeat(1, Firmware.ARDUPILOT, 2, mode, FlightMode.OTHER, True) for mode in range(count)]
     steps = [step(10.0 * k, events=(beat,)) for k, beat in enumerate(beats)]
@@ -170,7 +170,7 @@ def test_a_steep_descent_is_no_bad_altitude(tmp_path, drawn):
 
 
 def test_a_gap_is_not_bridged_by_the_least_separation(tmp_path, drawn):
-    """Positions of one of two stop for 20 s in the middle."""
+    """One of two aircraft has no positions for 20 s in the middle."""
     for name, north in (("ONE", 0.0), ("TWO", 40.0)):
         config = Config(identity=IdentityConfig(uas_id=name), flight=FlightConfig(use="fly"))
         times = [k / 5 for k in range(300) if name == "ONE" or not 100 < k < 200]

@@ -1,4 +1,4 @@
-"""The report stands alone, prints, shows what it should, and takes nothing from a log for markup."""
+"""The report is self-contained, printable and complete, and treats nothing from a log as markup."""
 
 import html.parser
 import re
@@ -29,7 +29,7 @@ EVIL = "<script>alert(1)</script>$x_{\\frac}$\"'&\x1b[2J"
 
 
 class Page(html.parser.HTMLParser):
-    """Tags, attributes and words of a page."""
+    """Tags, attributes and text of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -53,7 +53,7 @@ def page_of(folder: Path) -> str:
 
 @pytest.fixture(scope="module")
 def hostile(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The page of a run in which everything that may be named is named by an enemy."""
+    """The page of a run in which an attacker chose all names and texts."""
     folder = tmp_path_factory.mktemp("hostile") / "<b>run"
     for name in ("ONE" + EVIL[:20], "TWO" + EVIL[:20]):
         steps = [
@@ -88,7 +88,7 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture(scope="module")
 def guard(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
-    """A guarded vehicle that was taken, and its page."""
+    """A guarded vehicle of which control was taken, and its page."""
     folder = tmp_path_factory.mktemp("guard")
     for config, steps in guarded():
         write(folder, config, steps)
@@ -97,7 +97,7 @@ def guard(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pages without drawings, which take two seconds a page."""
+    """Make pages without drawings, which take two seconds per page."""
     monkeypatch.setattr(plots, "svg", lambda size_in, draw: "<svg></svg>")
 
 
@@ -151,7 +151,7 @@ def test_the_same_run_makes_the_same_page(guard: SimpleNamespace) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_damage_stands_at_the_top(run_folder: Path) -> None:
+def test_damage_is_reported_at_the_top(run_folder: Path) -> None:
     path = run_folder / "DMUCA002.events"
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
@@ -178,7 +178,7 @@ def test_separation_draws_the_limit_and_the_pair(run_folder: Path) -> None:
     assert "DMUCA001 - DMUCA002" in drawing
 
 
-def test_without_any_position_the_rest_is_told(tmp_path: Path) -> None:
+def test_without_any_position_the_rest_is_shown(tmp_path: Path) -> None:
     steps = [Step(now_s=float(t), events=(), commands=()) for t in range(3)]
     write(tmp_path, Config(identity=IdentityConfig(uas_id="ONE")), steps)
     text = page_of(tmp_path)
@@ -193,11 +193,13 @@ def test_fifty_tracks_fit_into_a_velocity_space(tmp_path: Path) -> None:
     config = Config(identity=IdentityConfig(uas_id="ONE"), flight=FlightConfig(use="fly"))
     (one,) = find(read(tmp_path, config, steps))
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # matplotlib warns of what does not fit
+        warnings.simplefilter("error")  # matplotlib warns about content that does not fit
         assert "chosen by the law" in plots.velocities(one, 5.0)
 
 
-def test_the_command_writes_it(run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_a_report(
+    run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert inspect(run_folder, "--report", tmp_path / "r.html") == 0
     assert (tmp_path / "r.html").read_text().startswith("<!DOCTYPE html>")
     assert f"wrote {tmp_path / 'r.html'}" in capsys.readouterr().out
@@ -205,13 +207,13 @@ def test_the_command_writes_it(run_folder: Path, tmp_path: Path, capsys: pytest.
 
 
 @pytest.mark.parametrize("arguments", [["second"], ["--save", "x.rrd"]])
-def test_it_goes_with_one_run(run_folder: Path, arguments: list[str]) -> None:
+def test_a_report_needs_exactly_one_run(run_folder: Path, arguments: list[str]) -> None:
     with pytest.raises(ConfigError, match="--report"):
         inspect(run_folder, *arguments, "--report", "x.html")
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_report_that_cannot_be_written_is_said(run_folder: Path) -> None:
+def test_an_unwritable_report_is_reported(run_folder: Path) -> None:
     with pytest.raises(ConfigError, match=r"--report: no/such/x.html: cannot be written: No such file"):
         inspect(run_folder, "--report", "no/such/x.html")
 
@@ -226,7 +228,7 @@ def test_missing_matplotlib_is_one_line_of_advice_and_no_file(
 
 
 @pytest.mark.skipif(chromium.missing() is not None, reason=str(chromium.missing()))
-def test_a_browser_shows_it_without_a_word_or_a_request(hostile: str, tmp_path: Path) -> None:
+def test_a_browser_shows_the_report_without_messages_or_requests(hostile: str, tmp_path: Path) -> None:
     path = tmp_path / "r.html"
     path.write_text(hostile, encoding="utf-8")
     told: list[str] = []
@@ -246,7 +248,7 @@ def test_a_browser_shows_it_without_a_word_or_a_request(hostile: str, tmp_path: 
 
 
 @pytest.mark.skipif(chromium.missing() is not None, reason=str(chromium.missing()))
-def test_it_is_read_in_the_dark_on_a_phone_and_by_the_keyboard(
+def test_the_report_is_usable_in_dark_mode_on_a_phone_and_by_keyboard(
     guard: SimpleNamespace, tmp_path: Path
 ) -> None:
     path = tmp_path / "r.html"
@@ -277,13 +279,13 @@ PAPER = "[...document.querySelectorAll('figure #patch_1 path')].map(e => getComp
 DRAWN = """kind => [...document.querySelectorAll('figure svg ' + kind)]
   .filter(e => !e.style.fill.startsWith('rgb(27') && !e.closest('[id^=xtick],[id^=ytick],defs'))
   .map(e => [getComputedStyle(e).fill, getComputedStyle(e).stroke].find(c => c !== 'none'))"""
-"""Colours of words or lines, but for those of the grid and of words within coloured spans."""
+"""Colours of text and lines, except the grid and text within coloured spans."""
 
 CUT = """[...document.querySelectorAll('figure svg text')].filter(e => {
   const [word, sheet] = [e, e.closest('svg')].map(one => one.getBoundingClientRect());
   return word.left < sheet.left - 1 || word.right > sheet.right + 1;
 }).map(e => e.textContent)"""
-"""Words that reach over the edge of their drawing."""
+"""Texts that extend beyond the edge of their drawing."""
 
 
 def luminance(colour: str) -> float:
@@ -300,7 +302,7 @@ def contrast(one: str, other: str) -> float:
 
 
 @pytest.mark.skipif(chromium.missing() is not None, reason=str(chromium.missing()))
-def test_drawings_are_read_in_the_dark_printed_on_white_and_wide_enough_on_a_phone(
+def test_drawings_are_legible_in_dark_mode_in_print_and_on_a_phone(
     guard: SimpleNamespace, tmp_path: Path
 ) -> None:
     path = tmp_path / "r.html"
@@ -317,11 +319,11 @@ def test_drawings_are_read_in_the_dark_printed_on_white_and_wide_enough_on_a_pho
         assert len(lines) > 10
         assert min(contrast(colour, dark) for colour in words) > 7.0
         assert min(contrast(colour, dark) for colour in lines) > 3.0
-        # Words keep their size on a phone: a drawing is scrolled, not shrunk.
+        # Text keeps its size on a phone: a drawing is scrolled, not shrunk.
         assert all(box["width"] >= 450.0 for box in shown.evaluate(boxes))
         assert shown.evaluate("document.documentElement.scrollWidth") <= 390
         shown.emulate_media(color_scheme="dark", media="print")
-        shown.set_viewport_size({"width": 688, "height": 1017})  # A4 less its margins
+        shown.set_viewport_size({"width": 688, "height": 1017})  # A4 without its margins
         assert set(shown.evaluate(PAPER)) == {white}
         assert set(shown.evaluate(DRAWN, "text")) == {"rgb(27, 27, 27)"}
         assert all(box["right"] <= 688.5 and box["height"] < 1017.0 for box in shown.evaluate(boxes))

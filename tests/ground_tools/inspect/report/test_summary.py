@@ -1,4 +1,4 @@
-"""A run in figures and in the terminal: conflicts and what was done, faults, what is missing."""
+"""The figures of a run and their terminal output: conflicts, reactions, faults, and missing data."""
 
 import json
 import re
@@ -45,7 +45,7 @@ def guard(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_conflict_tells_what_each_did(guard: Path) -> None:
+def test_a_conflict_reports_what_each_aircraft_did(guard: Path) -> None:
     figures = describe(read_run(guard))
     (row,) = figures["conflicts"]
     assert (row["pair"], row["kept"], row["required_m"]) == (["ONE", "TWO"], True, 10.0)
@@ -61,7 +61,7 @@ def test_a_conflict_tells_what_each_did(guard: Path) -> None:
     assert len(one["manoeuvres"]) == 1
 
 
-def test_it_is_json_and_the_same_each_time(guard: Path) -> None:
+def test_figures_are_json_and_reproducible(guard: Path) -> None:
     first, second = (json.dumps(describe(read_run(guard))) for _ in range(2))
     assert first == second
     assert json.loads(first)["aircraft"][0]["manoeuvres"][0]["half_spaces"]
@@ -69,13 +69,13 @@ def test_it_is_json_and_the_same_each_time(guard: Path) -> None:
 
 
 def test_tables_fit_where_there_is_no_terminal(guard: Path) -> None:
-    """The run's name and what is missing are lines of their own length."""
+    """The lines with the run's name and with missing data may be longer."""
     lines = terminal.text(describe(read_run(guard))).splitlines()
     assert max(map(len, lines[lines.index("") :])) <= terminal.PIPED_WIDTH
     assert not re.search(r"\x1b", "\n".join(lines))
 
 
-def test_times_stand_on_the_common_line(tmp_path: Path, made: SimpleNamespace) -> None:
+def test_times_are_on_the_common_time_line(tmp_path: Path, made: SimpleNamespace) -> None:
     """The second aircraft's own clock is 1,000 s ahead."""
     for name, clock_s in (("ONE", 0.0), ("TWO", 1000.0)):
         me = made.northbound if name == "ONE" else made.eastbound(2.0)
@@ -104,7 +104,7 @@ def test_an_aircraft_that_was_only_heard_is_a_conflict_by_prediction(tmp_path: P
     )
 
 
-def test_what_a_sensor_saw_is_named_so_and_the_places_of_a_wall_are_one(tmp_path: Path) -> None:
+def test_sensed_obstacles_are_named_and_the_points_of_a_wall_are_merged(tmp_path: Path) -> None:
     wall, pole = f"{SENSED_WALL}4/1", f"{SENSED}7"
 
     def one(t):
@@ -132,9 +132,9 @@ def test_what_a_sensor_saw_is_named_so_and_the_places_of_a_wall_are_one(tmp_path
     )
 
 
-def test_after_a_pilot_took_over_the_closest_is_as_heard(tmp_path: Path) -> None:
-    """The law decides for 2 s and sees INTRUDER 60 m away; it comes on, and another one, of which a warning
-    alone tells. A third one is heard, and is no conflict."""
+def test_after_a_pilot_takes_over_received_positions_are_used(tmp_path: Path) -> None:
+    """The law decides for 2 s and sees INTRUDER 60 m away, which then comes nearer. A second aircraft appears
+    only in a warning. A third one is received and is no conflict."""
 
     def heard(name: str, now_s: float, north_m: float) -> RemoteIdHeard:
         own = step(now_s).events[0]
@@ -177,8 +177,8 @@ def test_after_a_pilot_took_over_the_closest_is_as_heard(tmp_path: Path) -> None
     assert two["done"][0].startswith("ONE did nothing: ")
 
 
-def test_a_distance_that_the_law_took_wrongly_is_said(tmp_path: Path, made: SimpleNamespace) -> None:
-    """A liar: ONE takes it to be 60 m away while it is 1.4 m away."""
+def test_a_wrongly_assumed_distance_is_reported(tmp_path: Path, made: SimpleNamespace) -> None:
+    """An aircraft sends a false position: ONE takes it to be 60 m away while it is 1.4 m away."""
     for name, me in (("ONE", made.northbound), ("TWO", made.eastbound(2.0))):
         config = Config(identity=IdentityConfig(uas_id=name), flight=FLYING)
         steps = []
@@ -205,7 +205,7 @@ def test_the_law_none_is_named(tmp_path: Path, made: SimpleNamespace) -> None:
     assert describe(read_run(tmp_path))["conflicts"][0]["done"][0].startswith('ONE did nothing: law "none"')
 
 
-def test_a_floor_that_was_not_kept_stands_at_the_top(tmp_path: Path) -> None:
+def test_a_violated_minimum_rate_is_reported_at_the_top(tmp_path: Path) -> None:
     region = Region(name="eu", transport_sets=(("wifi",),), location_period_s=1.0)
     config = Config(identity=IdentityConfig(uas_id="ONE"), region=region)
     on = BroadcastChanged(rates=(("wifi", 1.0),), legal=True, reason="")
@@ -217,7 +217,7 @@ def test_a_floor_that_was_not_kept_stands_at_the_top(tmp_path: Path) -> None:
     assert "Remote ID: minimum rates of region eu kept by all 1 aircraft" in told(tmp_path)
 
 
-def test_faults_are_told_in_order(tmp_path: Path) -> None:
+def test_faults_are_listed_in_order(tmp_path: Path) -> None:
     lost = AuthorityChanged(previous="avoiding", state="fault", trigger="unfit", reason="no GNSS")
     quiet = VehicleText(severity=6, text="EKF active")
     loud = VehicleText(severity=2, text="battery low")
@@ -234,7 +234,7 @@ def test_faults_are_told_in_order(tmp_path: Path) -> None:
     ]
 
 
-def test_what_is_missing_is_said(tmp_path: Path) -> None:
+def test_missing_data_is_reported(tmp_path: Path) -> None:
     path = write(tmp_path, Config(identity=IdentityConfig(uas_id="ONE")), [step(1.0), step(2.0)])
     (one,) = describe(read_run(tmp_path))["aircraft"]
     assert one["missing"] == [
@@ -250,7 +250,7 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
     assert "missing: ONE: the log has no companion" in told(tmp_path)
 
 
-def test_a_companion_that_was_killed_is_said(tmp_path: Path) -> None:
+def test_a_killed_companion_is_reported(tmp_path: Path) -> None:
     write(tmp_path, Config(identity=IdentityConfig(uas_id="ONE")), [step(1.0), step(2.0)])
     (tmp_path / "manifest.json").write_text('{"what": "companion run", "aircraft": ["ONE"]}')
     words = "ONE: the companion did not end normally (killed, hung, power lost), or it still runs; nothing is"
@@ -259,7 +259,7 @@ def test_a_companion_that_was_killed_is_said(tmp_path: Path) -> None:
     assert "did not end normally" not in told(tmp_path)
 
 
-def test_what_logs_say_steers_no_terminal(tmp_path: Path) -> None:
+def test_texts_from_logs_do_not_control_the_terminal(tmp_path: Path) -> None:
     evil = "[bold red]\x1b[2J\x1b]0;x\x07 \u202egnp\x9b [/nothing]"
     steps = [step(k / 5, decision(track(evil), chosen=(4, 3, 0))) for k in range(20)]
     steps.append(step(9.0, events=(VehicleText(severity=1, text=evil),)))
@@ -270,7 +270,7 @@ def test_what_logs_say_steers_no_terminal(tmp_path: Path) -> None:
     assert all(c.isprintable() or c == "\n" for c in text)
 
 
-def test_times_count_from_the_first_step_and_the_utc_of_that_is_told(tmp_path: Path) -> None:
+def test_times_count_from_the_first_step_whose_utc_is_shown(tmp_path: Path) -> None:
     config = Config(identity=IdentityConfig(uas_id="ONE"), flight=FLYING)
     told_utc = VehicleTime(time_boot_s=0.0, utc_s=1_767_225_605.0)
     write(tmp_path, config, [step(62_000.0), step(62_005.0, events=(told_utc,)), step(62_010.0)])

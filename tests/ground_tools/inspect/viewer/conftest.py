@@ -1,4 +1,4 @@
-"""One recording, written and read back once for all tests of it."""
+"""One recording, written and read back once for all tests that use it."""
 
 from pathlib import Path
 

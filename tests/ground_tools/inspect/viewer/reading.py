@@ -1,4 +1,4 @@
-"""Reads a Rerun recording back, for the tests of what is in it."""
+"""Reads a Rerun recording back, so that tests can check its content."""
 
 import subprocess
 import sys
@@ -36,7 +36,7 @@ class Read:
         return sorted(rows, key=lambda row: row[0])
 
     def fixed(self, entity: str, component: str) -> Any:
-        """A component that holds for all rows."""
+        """A static component, which applies to all rows."""
         (value,) = [
             batch.column(name)[0].as_py()
             for batch in self.static[entity]
@@ -47,7 +47,7 @@ class Read:
 
 
 def packed(rgb: tuple[int, int, int]) -> int:
-    """As rerun stores a colour."""
+    """A colour as Rerun stores it."""
     red, green, blue = rgb
     return red << 24 | green << 16 | blue << 8 | 255
 

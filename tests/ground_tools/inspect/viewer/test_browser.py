@@ -1,4 +1,4 @@
-"""What people open, in a real browser: the web viewer draws the recording, and asks this machine alone."""
+"""The web viewer in a real browser: it draws the recording and contacts only this machine."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_the_web_viewer_draws_the_recording_and_nothing_leaves(tmp_path: Path, r
     assert own + "recording.rrd" in asked
 
 
-def test_what_is_sent_to_it_is_drawn_while_it_runs(tmp_path: Path) -> None:
+def test_the_viewer_draws_data_while_it_is_sent(tmp_path: Path) -> None:
     import rerun as rr
 
     sent = (230, 30, 200)

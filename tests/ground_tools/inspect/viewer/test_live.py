@@ -1,4 +1,4 @@
-"""A record followed while it grows: what comes out is what the whole record holds."""
+"""Following a growing record gives the same output as the whole record."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def bridged(folder: Path, out: Path, grow: Callable[[Bridge], None]) -> None:
     stream.disconnect()
 
 
-def test_a_growing_record_gives_what_the_whole_one_gives(tmp_path: Path, made: SimpleNamespace) -> None:
+def test_a_growing_record_gives_the_same_as_the_whole_one(tmp_path: Path, made: SimpleNamespace) -> None:
     path = made.write_events(tmp_path, "a", made.steps(made.northbound, made.eastbound(20.0)))
     whole = path.read_bytes()
     counts: list[int] = []
 
     def grow(bridge: Bridge) -> None:
-        for end in range(8, len(whole) + 7_000, 7_000):  # cuts records anywhere
+        for end in range(8, len(whole) + 7_000, 7_000):  # cuts the file at arbitrary positions
             path.write_bytes(whole[:end])
             counts.append(bridge.look())
 
@@ -63,12 +63,12 @@ def test_a_growing_record_gives_what_the_whole_one_gives(tmp_path: Path, made: S
     live, converted = rows(tmp_path / "live.rrd"), rows(tmp_path / "whole.rrd")
     for entity in ("/authority/a", "/speed/a/chosen", "/events/a"):
         assert live[entity] == converted[entity] > 0, entity
-    # The end of a converted run takes away what is drawn.
+    # Only the end of a converted run removes what was drawn last.
     assert live["/aircraft/a/own"] == converted["/aircraft/a/own"] - 1 == 601
     assert live["/aircraft/a/flown"] > 10
 
 
-def test_several_are_drawn_once_all_have_told_where_they_are(tmp_path: Path, made: SimpleNamespace) -> None:
+def test_aircraft_are_drawn_once_all_positions_are_known(tmp_path: Path, made: SimpleNamespace) -> None:
     early = made.write_events(tmp_path, "a", made.steps(made.northbound, made.eastbound(20.0)))
     late = made.write_events(tmp_path, "b", made.steps(made.eastbound(20.0), made.northbound, 500.0))
     whole = late.read_bytes()
@@ -86,16 +86,16 @@ def test_several_are_drawn_once_all_have_told_where_they_are(tmp_path: Path, mad
     assert early.exists()
 
 
-def test_another_file_is_said_in_one_line(tmp_path: Path) -> None:
+def test_a_file_of_another_kind_is_reported_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "a.events").write_bytes(b"DMUCAEV1" + bytes(100))
     with pytest.raises(PeerDataError, match=r"a\.events: event record of format b'1'"):
         bridged(tmp_path, tmp_path / "live.rrd", lambda bridge: bridge.look())
 
 
-def test_what_there_is_is_shown_after_a_while_and_the_rest_when_it_comes(
+def test_available_data_is_shown_after_a_timeout_and_the_rest_on_arrival(
     tmp_path: Path, made: SimpleNamespace
 ) -> None:
-    """One that knows neither UTC nor where it is, beside one that knows both."""
+    """One aircraft knows neither UTC nor its position; the other knows both."""
     whole = made.steps(made.northbound, made.eastbound(20.0))
     bare = made.steps(made.eastbound(20.0), made.northbound, utc=False, positions=False)
     made.write_events(tmp_path, "a", whole)
@@ -115,14 +115,14 @@ def test_what_there_is_is_shown_after_a_while_and_the_rest_when_it_comes(
         assert bridge.outgrown
 
     bridged(tmp_path, tmp_path / "live.rrd", grow)
-    # With one position known, others are drawn as they come.
+    # Once one position is known, others are drawn as they arrive.
     assert waited == [("b: UTC and a position",), (), ("b: UTC",)]
     live = rows(tmp_path / "live.rrd")
     assert live["/aircraft/a/own"] == 601
     assert live["/authority/b"] > 0
 
 
-def test_a_record_without_any_position_shows_what_it_has(tmp_path: Path, made: SimpleNamespace) -> None:
+def test_a_record_without_any_position_shows_its_other_data(tmp_path: Path, made: SimpleNamespace) -> None:
     bare = made.steps(made.northbound, made.eastbound(20.0), positions=False)
     path = made.write_events(tmp_path, "a", bare[:200])
 
@@ -160,7 +160,7 @@ def test_a_damaged_record_does_not_end_the_others(tmp_path: Path, made: SimpleNa
 
 
 def test_ctrl_c_ends_it_quietly(tmp_path: Path, made: SimpleNamespace) -> None:
-    """As a terminal does it: the signal goes to the viewer's parent and whoever is in its group."""
+    """As in a terminal, the signal goes to the viewer's parent and its process group."""
     made.write_events(tmp_path, "a", made.steps(made.northbound, made.northbound, positions=False)[:50])
     with subprocess.Popen(
         [sys.executable, "-m", "ground_tools.cli", "inspect", str(tmp_path), "--live"],
@@ -186,7 +186,7 @@ def test_ctrl_c_ends_it_quietly(tmp_path: Path, made: SimpleNamespace) -> None:
         ("none", "this run folder does not exist"),
     ],
 )
-def test_what_cannot_be_followed_is_said(tmp_path: Path, name: str, words: str) -> None:
+def test_records_that_cannot_be_followed_are_reported(tmp_path: Path, name: str, words: str) -> None:
     os.mkfifo(tmp_path / "fifo.events")
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     with pytest.raises(ConfigError, match=words):

@@ -1,5 +1,5 @@
-"""A marker at every conflict, manoeuvre, switch and fault: in a converted run, in one that is flown, in a
-telemetry log's link, and in the report's time line. Each of a record with one of each."""
+"""Markers at every conflict, manoeuvre, switch and fault: in a converted run, during a flight, for the link
+of a telemetry log, and in the report's time line. The record has one event of each kind."""
 
 from __future__ import annotations
 
@@ -91,11 +91,12 @@ MARKED = {
     36.0: "the link to the autopilot returned after 6.0 s",
 }
 QUIET = {2.0, 5.0, 9.0, 10.0, 11.0, 13.0, 15.0, 36.0}
-"""Told, and nothing wrong."""
+"""Events that are reported and are no fault."""
 
 
 def steps() -> list[Step]:
-    """5 Hz over 40 s; a heartbeat a second but for 30 to 36 s, a conflict and a manoeuvre from 20 to 22 s."""
+    """Steps at 5 Hz over 40 s: a heartbeat per second except from 30 to 36 s, a conflict and a manoeuvre from
+    20 to 22 s."""
     found = []
     for tick in range(201):
         now_s = tick / 5
@@ -126,7 +127,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def markers(path: Path, name: str) -> list[tuple[float, str, int, float, float]]:
-    """Time, words, colour, radius and how far north of every marker, in order of time."""
+    """Time, text, colour, radius and north coordinate of every marker, in order of time."""
     from rerun.chunk import RrdReader
 
     rows = []
@@ -145,7 +146,8 @@ def markers(path: Path, name: str) -> list[tuple[float, str, int, float, float]]
 
 
 def check(rows: list[tuple[float, str, int, float, float]], manoeuvre: str) -> None:
-    """One marker of each, small where nothing is wrong, and where the aircraft then was."""
+    """Check that there is one marker for each event, at the aircraft's position, small if there is no
+    fault."""
     (begun,) = [row for row in rows if "manoeuvre" in row[1]]
     assert begun[0] == 20.0
     assert begun[1].startswith(manoeuvre)
@@ -165,8 +167,8 @@ def test_a_converted_run_has_a_marker_at_each(run: Run, tmp_path: Path) -> None:
     check(markers(tmp_path / "a.rrd", run.aircraft[0].name), "manoeuvre: The wanted velocity")
 
 
-def test_a_run_that_is_flown_has_them_too(run: Run, tmp_path: Path) -> None:
-    """In three looks, one of which ends within the manoeuvre: it is told once."""
+def test_a_live_run_has_a_marker_at_each(run: Run, tmp_path: Path) -> None:
+    """The record is read in three parts, one of which ends within the manoeuvre. It is reported once."""
     import rerun as rr
 
     (path,) = run.folder.glob("*.events")
@@ -186,8 +188,8 @@ def test_a_run_that_is_flown_has_them_too(run: Run, tmp_path: Path) -> None:
     check(markers(tmp_path / "live.rrd", grown.stem), "manoeuvre begins: The wanted velocity")
 
 
-def test_a_link_that_was_lost_is_marked_of_the_autopilot_alone(run: Run, tmp_path: Path) -> None:
-    """Where the log has no more of it, nothing came back."""
+def test_only_a_lost_link_to_the_autopilot_is_marked(run: Run, tmp_path: Path) -> None:
+    """If the log has no later messages of the autopilot, no return is marked."""
 
     def component(component_id: int) -> ComponentHealth:
         return ComponentHealth(
@@ -219,7 +221,7 @@ def test_a_link_that_was_lost_is_marked_of_the_autopilot_alone(run: Run, tmp_pat
     ]
 
 
-def test_the_reports_time_line_has_them(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_reports_time_line_has_a_marker_at_each(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.axes import Axes
 
     drawn: dict[str, list[float]] = {}

@@ -1,4 +1,4 @@
-"""The Rerun recording, read back: sound by rerun's own check, and holding what the run holds."""
+"""The Rerun recording, read back: it passes Rerun's own check and contains the data of the run."""
 
 import dataclasses
 import itertools
@@ -35,7 +35,7 @@ from tests.support.place import HOME
 pytestmark = needs.rerun
 
 
-def test_the_file_is_sound_and_the_check_would_notice_one_cut_off(saved: Path, tmp_path: Path) -> None:
+def test_the_file_passes_reruns_check_which_detects_a_cut_off_file(saved: Path, tmp_path: Path) -> None:
     result = verify(saved)
     assert result.returncode == 0, result.stdout + result.stderr
     torn = tmp_path / "torn.rrd"
@@ -43,19 +43,20 @@ def test_the_file_is_sound_and_the_check_would_notice_one_cut_off(saved: Path, t
     assert verify(torn).returncode != 0
 
 
-def test_the_aircraft_is_where_it_took_itself_to_be_east_north_up(found: Read) -> None:
+def test_the_aircraft_is_drawn_at_its_own_position_in_enu(found: Read) -> None:
     rows = found.column("/aircraft/DMUCA001/own", "positions")
     assert len(rows) == 601 + 1
     # The origin is the first position: 150 m south of the crossing, 50 m high.
     assert rows[250] == (pytest.approx(25.0), [pytest.approx([0.0, 125.0, 0.0], abs=0.1)])
-    # Nobody is drawn for ever.
+    # No aircraft is drawn after its last position is stale.
     assert rows[-1] == (pytest.approx(60.0 + drawing.SHOWN_S), [])
     sizes = found.column("/aircraft/DMUCA001/volume", "half_sizes")
     assert sizes[0][1] == [pytest.approx([5.0, 5.0, 5.0 / 0.85])]
 
 
 def test_pieces_join_without_a_gap(found: Read) -> None:
-    """Before, in and after the encounter: no row is lost or doubled where they meet, none is blanked."""
+    """The pieces are before, in and after the encounter. At their borders no row is lost, duplicated or
+    blank."""
     rows = found.column("/aircraft/DMUCA001/own", "positions")[:-1]
     assert np.diff([time for time, _ in rows]) == pytest.approx(0.1, abs=1e-6)
     assert all(len(points) == 1 for _, points in rows)
@@ -66,11 +67,11 @@ def test_pieces_join_without_a_gap(found: Read) -> None:
     assert sum(len(strip) for strip in points) == 601 + len(points) - 1
 
 
-def test_what_was_heard_and_predicted_is_drawn_where_it_was_said_to_be(found: Read) -> None:
+def test_received_and_predicted_positions_are_drawn(found: Read) -> None:
     heard = "/aircraft/DMUCA001/heard/c2\\:00\\:00\\:00\\:00\\:02"
     rows = found.column(heard, "positions")
     assert len(rows) == 61 + 1
-    # Where the other was half a second before: 20 m north of the crossing, flying east.
+    # The position of the other aircraft half a second before: 20 m north of the crossing, flying east.
     assert rows[40] == (pytest.approx(40.0), [pytest.approx([47.5, 170.0, 0.0], abs=0.1)])
     predicted = found.column("/aircraft/DMUCA001/predicted", "positions")
     assert len(predicted) == 301 + 1
@@ -80,7 +81,7 @@ def test_what_was_heard_and_predicted_is_drawn_where_it_was_said_to_be(found: Re
 
 
 def test_a_track_in_the_way_has_the_volume_that_was_used(found: Read) -> None:
-    """In conflict below 20 m of distance, which is from 30.5 to 33.5 s or so."""
+    """The conflict lasts while the distance is below 20 m, from about 30.5 to 33.5 s."""
     rows = found.column("/aircraft/DMUCA001/in\\ the\\ way", "half_sizes")
     drawn = [time for time, sizes in rows if sizes]
     assert (min(drawn), max(drawn)) == (pytest.approx(30.0, abs=0.3), pytest.approx(34.0, abs=0.3))
@@ -108,14 +109,14 @@ def test_no_minimum_is_lost_where_distances_are_thinned() -> None:
     assert (times.tolist(), values.tolist()) == ([0.05, 0.2, 1.0], [3.0, 2.0, 9.0])
 
 
-def test_lanes_hold_the_states(found: Read) -> None:
+def test_lanes_contain_the_states(found: Read) -> None:
     rows = found.column("/authority/DMUCA002", "state")
     assert [(pytest.approx(time), state) for time, (state,) in rows] == [(0.0, "watching"), (5.0, "flying")]
     assert found.fixed("/authority/DMUCA002", "colors")[0] == packed(AUTHORITY["standby"])
     assert "standby" in found.fixed("/authority/DMUCA002", "values")
 
 
-def test_events_are_told_and_marked_where_they_happened(found: Read) -> None:
+def test_events_are_logged_and_marked_at_their_place(found: Read) -> None:
     lines = [
         (time, level, text)
         for (time, (text,)), (_, (level,)) in zip(
@@ -151,7 +152,7 @@ def test_a_run_with_one_aircraft_and_an_odd_name_is_drawn_too(tmp_path: Path, ma
     assert any("own" in entity for entity in Read(tmp_path / "one.rrd").batches)
 
 
-def test_a_place_that_cannot_be_written_is_said(run_folder: Path) -> None:
+def test_an_unwritable_recording_is_reported(run_folder: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be written"):
         recording.write(read_run(run_folder), run_folder / "no" / "such" / "folder.rrd")
 
@@ -161,7 +162,7 @@ def test_north_east_down_is_drawn_east_north_up() -> None:
 
 
 def test_reported_altitudes_are_drawn_above_mean_sea_level(tmp_path: Path, made: SimpleNamespace) -> None:
-    """Remote ID reports ellipsoid altitudes; sea level lies 47 m above the ellipsoid here."""
+    """Remote ID reports ellipsoid altitudes; sea level is 47 m above the ellipsoid here."""
     lat, lon, alt = made.home.to_geodetic(30.0, 40.0, -50.0)
     fix = GnssFix(fix_type=3, lat_deg=lat, lon_deg=lon, alt_msl_m=alt, alt_ellipsoid_m=alt + 47.0)
     report = Location(lat_deg=lat, lon_deg=lon, alt_geodetic_m=alt + 47.0)
@@ -178,14 +179,14 @@ def test_reported_altitudes_are_drawn_above_mean_sea_level(tmp_path: Path, made:
     assert found.column("/link/a\\ hears\\ c2\\ \\(dBm\\)", "scalars") == [(0.0, [-60.0])]
 
 
-def test_what_the_law_took_the_distance_to_be_is_drawn(found: Read) -> None:
+def test_distances_assumed_by_the_law_are_drawn(found: Read) -> None:
     rows = dict(found.column("/range/DMUCA002\\ at\\ DMUCA001", "scalars"))
-    # The least of each second; closest at 32 s, when both are 10 m from where their paths would meet.
+    # The minimum of each second. Closest at 32 s, when both are 10 m from the crossing.
     assert min(rows.values()) == [pytest.approx(math.hypot(10.0, 10.0), abs=0.01)]
     assert rows[0.8] == [pytest.approx(math.dist((-146.0, 0.0), (20.0, -146.0)), abs=0.05)]
 
 
-def test_who_chose_the_transports_is_a_lane(tmp_path: Path, made: SimpleNamespace) -> None:
+def test_the_choosing_component_has_a_lane(tmp_path: Path, made: SimpleNamespace) -> None:
     first, *others = made.steps(made.northbound, made.eastbound(20.0), end_s=10.0)
     by_policy = TransportsChosen(rates=(("wifi", 5), ("bluetooth", 1)), by="policy", reason="crowded")
     by_rule = TransportsChosen(rates=(("wifi", 1),), by="fallback", reason="no answer")
@@ -197,8 +198,8 @@ def test_who_chose_the_transports_is_a_lane(tmp_path: Path, made: SimpleNamespac
     assert rows == [(0.0, ["policy: wifi 5/s, bluetooth 1/s"]), (2.1, ["fallback: wifi 1/s"])]
 
 
-def test_how_well_the_link_carried_is_drawn(tmp_path: Path, made: SimpleNamespace) -> None:
-    """On the run's time line, which begins 20 s before the paths do."""
+def test_link_quality_is_drawn(tmp_path: Path, made: SimpleNamespace) -> None:
+    """Times are on the run's time line, which begins 20 s before the paths."""
     steps = made.steps(made.northbound, made.eastbound(20.0), end_s=15.0)
     made.write_events(tmp_path, "a", steps, start_utc_s=made.utc_s + 20.0)
     autopilot = ComponentHealth(
@@ -236,7 +237,7 @@ def test_how_well_the_link_carried_is_drawn(tmp_path: Path, made: SimpleNamespac
 def test_without_positions_the_rest_is_drawn(
     tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A bench test: who flew, what was said and sent; the law decided nothing."""
+    """As in a bench test: there are authority states, texts and broadcasts, but no decisions of the law."""
     plans: list[Any] = []
 
     def kept(*arguments: Any, **options: Any) -> Any:
@@ -258,12 +259,12 @@ def test_without_positions_the_rest_is_drawn(
     texts = [text for _, (text,) in found.column("/events/run", "text")]
     assert texts[1] == "No aircraft recorded a position, so nothing is drawn in space."
     assert not any(entity.endswith("/own") for entity in found.batches)
-    # No view of space at the left of the rest.
+    # There is no 3D view at the left.
     assert type(plans[0].root_container).__name__ == "Vertical"
 
 
 def test_the_greatest_age_of_each_time_is_drawn(tmp_path: Path, made: SimpleNamespace) -> None:
-    """0.5 s, but for one decision at 22 s."""
+    """The age is 0.5 s, except in one decision at 22 s."""
 
     def late(step: Step) -> Step:
         commands = tuple(
@@ -281,7 +282,7 @@ def test_the_greatest_age_of_each_time_is_drawn(tmp_path: Path, made: SimpleName
     assert [(time, age) for time, (age,) in rows if age != 0.5] == [(22.0, 7.0)]
 
 
-def test_arrows_lead_where_the_velocity_does(tmp_path: Path, made: SimpleNamespace) -> None:
+def test_arrows_point_along_the_velocity(tmp_path: Path, made: SimpleNamespace) -> None:
     def turned(step: Step) -> Step:
         commands = tuple(
             msgspec.structs.replace(c, wanted_ned_mps=(1.0, 2.0, -3.0), chosen_ned_mps=(3.0, 0.0, 0.5))
@@ -301,7 +302,7 @@ def test_arrows_lead_where_the_velocity_does(tmp_path: Path, made: SimpleNamespa
     assert found.column("/speed/a/chosen", "scalars")[5][1] == [pytest.approx(np.hypot(3.0, 0.5))]
 
 
-def test_a_half_spaces_square_lies_on_its_plane_and_points_to_what_is_allowed() -> None:
+def test_a_half_spaces_square_lies_on_its_plane_and_points_to_the_allowed_side() -> None:
     space = HalfSpace("b", True, (0.6, 0.8, 0.0), 2.0, True)
     place, velocity = np.array([10.0, 20.0, -30.0]), np.array([3.0, 1.0, 0.5])
     line = (shapes.square(place, velocity, space) - place) / shapes.ARROW_S

@@ -1,4 +1,4 @@
-"""Recordings of several runs: aligned, in one frame, and told apart."""
+"""Recordings of several runs: aligned, in one frame, and distinguishable."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,7 +25,8 @@ pytestmark = needs.rerun
 
 
 def taking_off(steps: list[Step], at_s: float) -> list[Step]:
-    """The same, armed at the start and in the air from a time on; no law that flies a path at a UTC."""
+    """The same steps, armed at the start and in the air from a given time on; no timed path that starts at a
+    UTC."""
     armed = Heartbeat(
         system_id=1, firmware=Firmware.PX4, vehicle_type=2, custom_mode=0, mode=FlightMode.OTHER, armed=True
     )
@@ -38,7 +39,8 @@ def taking_off(steps: list[Step], at_s: float) -> list[Step]:
 
 
 def test_runs_are_compared_from_their_take_off(tmp_path: Path, made: SimpleNamespace) -> None:
-    """The same flight, which one record begins to count 100 s later; in the air 7 s after its start."""
+    """The same flight twice, with the clock of one record shifted by 100 s; in the air 7 s after its
+    start."""
     for name, clock_s in (("first", 0.0), ("second", 100.0)):
         steps = made.steps(made.northbound, made.eastbound(20.0), clock_s, utc=False)
         made.write_events(tmp_path / name, "a", taking_off(steps, clock_s + 7.0))
@@ -69,8 +71,8 @@ def test_runs_of_timed_paths_are_compared_from_the_paths_start(tmp_path: Path, m
     assert starts == [pytest.approx(-10.0), pytest.approx(-20.0)]
 
 
-def test_runs_are_drawn_in_one_frame_and_told_apart(run_folder: Path, tmp_path: Path) -> None:
-    """A run and itself: what is drawn of both lies in the same places."""
+def test_runs_are_drawn_in_one_frame_and_distinguishable(run_folder: Path, tmp_path: Path) -> None:
+    """A run is compared with itself, so everything is drawn in the same places."""
     recording.write_comparison([read_run(run_folder)] * 2, tmp_path / "both.rrd")
     found = Read(tmp_path / "both.rrd")
     name = "/runs/20260101T000000Z\\-demo"

@@ -1,4 +1,4 @@
-"""The recording's encounter: what it holds, and how it is written in pieces."""
+"""The recording's encounter: its content, and how it is written in pieces."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,7 +18,7 @@ from tests.support import needs
 pytestmark = needs.rerun
 
 
-def test_the_encounter_counts_from_the_first_conflict_and_holds_what_lies_around_it(
+def test_the_encounter_counts_from_the_first_conflict_and_contains_its_surroundings(
     found: Read, built: Path
 ) -> None:
     run = read_run(built)
@@ -30,13 +30,13 @@ def test_the_encounter_counts_from_the_first_conflict_and_holds_what_lies_around
     assert rows[-1][0] == pytest.approx(conflicts.now_s[conflicts.conflict][-1] + 20.0 - first, abs=0.2)
     now = next(points for time, points in rows if abs(time) < 1e-6)
     assert now == whole[first]
-    # States last: the one before the encounter stands at its start.
+    # States persist: the state before the encounter is repeated at its start.
     states = found.column("/authority/DMUCA001", "state", ENCOUNTER)
     assert [(time, state) for time, (state,) in states] == [(-10.0, "watching"), (-10.0, "flying")]
 
 
-def test_every_line_stands_in_the_encounter_too(built: Path, tmp_path: Path) -> None:
-    """Which begins later than the run: distances are told up to where the next part begins."""
+def test_every_line_is_in_the_encounter_too(built: Path, tmp_path: Path) -> None:
+    """The encounter begins later than the run. Distances extend to the beginning of the next part."""
     run = read_run(built)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recording, "first_encounter", lambda *_: Encounter(25.3, 30.0, 40.0, "the closest"))
@@ -58,14 +58,16 @@ def test_every_line_stands_in_the_encounter_too(built: Path, tmp_path: Path) -> 
         ([float(t) for t in range(0, 1000, 10)], (-10.0, 0.0, 300.0)),
     ],
 )
-def test_an_encounter_ends_when_it_is_calm(conflicts: list[float], bounds: tuple[float, ...]) -> None:
+def test_an_encounter_ends_after_a_time_without_conflict(
+    conflicts: list[float], bounds: tuple[float, ...]
+) -> None:
     one = first_encounter(np.array(conflicts), None)
     assert one is not None
     assert (one.start_s, one.zero_s, one.end_s) == bounds
     assert first_encounter(np.zeros(0), None) is None
 
 
-def test_without_a_conflict_it_is_the_closest_approach(built: Path) -> None:
+def test_without_a_conflict_the_encounter_is_the_closest_approach(built: Path) -> None:
     (pair,) = separations(flown(read_run(built)).paths)
     one = first_encounter(np.zeros(0), pair)
     assert one is not None
@@ -74,7 +76,7 @@ def test_without_a_conflict_it_is_the_closest_approach(built: Path) -> None:
 
 
 def test_pieces_end_at_the_encounters_ends() -> None:
-    """A piece is in the encounter or not, whole."""
+    """A piece is either entirely inside the encounter or entirely outside."""
     one = Scene((0.0, 0.0, 0.0), (), first_encounter(np.array([40.0]), None))
     time = np.arange(0.0, PIECE_S + 30.0, 0.5)
     parts = one.pieces(time)
@@ -92,7 +94,7 @@ def test_a_position_is_not_drawn_when_no_other_follows() -> None:
 def test_a_silence_across_pieces_is_blank(
     tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing from 25 to 35 s, and the pieces meet at 30 s."""
+    """There is no data from 25 to 35 s, and two pieces meet at 30 s."""
     monkeypatch.setattr(scene, "PIECE_S", 30.0)
     steps = [step for step in made.steps(made.northbound, made.eastbound(500.0)) if not 25 < step.now_s < 35]
     made.write_events(tmp_path, "a", steps)
@@ -102,10 +104,10 @@ def test_a_silence_across_pieces_is_blank(
     assert blank == [pytest.approx(28.0), pytest.approx(63.0)]
 
 
-def test_what_is_written_at_once_is_bounded_and_nothing_is_lost(
+def test_the_size_of_a_write_is_bounded_and_nothing_is_lost(
     tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However long or full of tracks a piece of the time line is: 601 steps, and a track at 5 Hz."""
+    """This holds for long pieces and for pieces with many tracks: 601 steps, and a track at 5 Hz."""
     monkeypatch.setattr(recording, "MOST_TAKEN", 100)
     made.write_events(tmp_path, "a", made.steps(made.northbound, made.eastbound(500.0)))
     run = read_run(tmp_path)
@@ -129,7 +131,7 @@ def test_what_is_written_at_once_is_bounded_and_nothing_is_lost(
 def test_parts_of_a_line_are_sent_together_but_for_the_encounter(
     tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The encounter is a part of its own; before and after it there are several pieces each."""
+    """The encounter is a separate part; before and after it there are several pieces each."""
     made.write_events(tmp_path, "a", made.steps(made.northbound, made.eastbound(500.0)))
     run = read_run(tmp_path)
     one = scene.Encounter(25.0, 30.0, 40.0, "the closest approach")

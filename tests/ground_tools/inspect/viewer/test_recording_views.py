@@ -1,4 +1,4 @@
-"""Which views a recording opens with, and what they show."""
+"""The views with which a recording opens, and their content."""
 
 import math
 from pathlib import Path
@@ -20,7 +20,7 @@ pytestmark = needs.rerun
 
 
 def views(container: Any) -> list[str]:
-    """Names of the views in it, in order."""
+    """Names of the views in a blueprint, in order."""
     if type(container).__name__ not in ("Horizontal", "Vertical", "Tabs"):
         return [str(container.name)]
     return [name for part in container.contents for name in views(part)]
@@ -49,8 +49,9 @@ def test_only_views_with_something_to_show_are_there(built: Path) -> None:
     assert views(bench.root_container) == [*plots, "Autopilot mode", *texts]
 
 
-def test_what_a_run_opens_on_is_seen_whole(tmp_path: Path, built: Path, made: SimpleNamespace) -> None:
-    """One aircraft alone: all of its path. Several: from where they are when the encounter begins."""
+def test_the_initial_view_contains_all_positions(tmp_path: Path, built: Path, made: SimpleNamespace) -> None:
+    """With one aircraft: its whole path. With several: their positions from the beginning of the encounter
+    on."""
     made.write_events(tmp_path, "a", made.steps(made.northbound, made.eastbound(20.0)))
     ways = placed(read_run(tmp_path))
     look = recording._look(ways, (), None)
@@ -75,7 +76,7 @@ def test_what_a_run_opens_on_is_seen_whole(tmp_path: Path, built: Path, made: Si
         (Encounter(30.0, 40.0, 80.0, ""), (-10, 20)),
     ],
 )
-def test_plots_show_the_encounter_as_far_as_there_is_a_run(
+def test_plots_show_the_encounter_within_the_run(
     encounter: Encounter | None, seconds: tuple[int, int]
 ) -> None:
     import rerun.blueprint as rrb
@@ -87,7 +88,7 @@ def test_plots_show_the_encounter_as_far_as_there_is_a_run(
 
 
 def test_a_plot_reaches_to_pairs_that_stay_far_apart(built: Path) -> None:
-    """Limit 10 m: to 60 m, or to half as far again as the closest pair came."""
+    """With a limit of 10 m, the plot reaches to 60 m or to 1.5 times the closest distance."""
     import rerun.blueprint as rrb
 
     bare = Scene((0.0, 0.0, 0.0), ())

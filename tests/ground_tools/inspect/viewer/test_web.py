@@ -1,4 +1,4 @@
-"""The web viewer's own server: what it hands on, and what a browser may do with it."""
+"""The web viewer's server: what it serves, and what a browser may do."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ def got(viewer: WebViewer, path: str) -> tuple[Any, bytes]:
         return answer.headers, answer.read()
 
 
-def test_the_page_is_kept_to_this_machine(viewer: WebViewer) -> None:
+def test_the_page_may_contact_this_machine_only(viewer: WebViewer) -> None:
     headers, page = got(viewer, "/?url=x")
     assert b"<canvas" in page
-    # What a policy does not hold back: connections that are made beforehand.
+    # Preconnections, which a Content-Security-Policy does not prevent.
     assert b"<link" in page
     assert b"fonts.googleapis.com" not in page
     rules = dict(rule.split(" ", 1) for rule in headers["Content-Security-Policy"].split("; "))
@@ -76,7 +76,8 @@ def test_localhost_is_this_machine(viewer: WebViewer) -> None:
 
 
 def test_reruns_own_server_listens_where_no_other_page_knows(viewer: WebViewer) -> None:
-    """It answers any Host, and a rebinding page would have to guess one of 16 million addresses."""
+    """Rerun's server answers any Host, but a rebinding page would have to guess one of 16 million
+    addresses."""
     address = urllib.parse.urlsplit(viewer.data_url.removeprefix("rerun+"))
     assert address.hostname is not None
     assert address.hostname.startswith("127.")
@@ -101,7 +102,7 @@ def test_nothing_else_of_the_folder_is_served(viewer: WebViewer) -> None:
             got(viewer, path)
 
 
-def test_a_viewer_that_ends_is_said_and_was_told_to_be_silent(
+def test_a_viewer_that_ends_is_reported_and_sends_no_statistics(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     program = tmp_path / "rerun"
@@ -115,7 +116,7 @@ def test_a_viewer_that_ends_is_said_and_was_told_to_be_silent(
 
 
 def children(pid: int) -> list[int]:
-    """Processes that one has started and that run."""
+    """Running processes that a process has started."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
@@ -137,8 +138,8 @@ def runs(pid: int) -> bool:
     [(signal.SIGTERM, 0), (signal.SIGHUP, 0), (signal.SIGKILL, -signal.SIGKILL)],
     ids=lambda value: getattr(value, "name", None),
 )
-def test_however_it_ends_no_viewer_is_left(tmp_path: Path, sent: signal.Signals, code: int) -> None:
-    """SIGHUP: the terminal was closed."""
+def test_no_viewer_process_is_left_after_any_signal(tmp_path: Path, sent: signal.Signals, code: int) -> None:
+    """SIGHUP means that the terminal was closed."""
     path = tmp_path / "x.rrd"
     path.write_bytes(CONTENT)
     lines = (
