@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
+import tomllib
 from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
@@ -101,4 +102,9 @@ def _version(package: str) -> str:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+    """Digest of a file's bytes; of a TOML file's values, so that a reworded comment does not make a result
+    look old."""
+    content = path.read_bytes()
+    if path.suffix == ".toml":
+        content = repr(tomllib.loads(content.decode())).encode()
+    return hashlib.sha256(content).hexdigest()[:12]

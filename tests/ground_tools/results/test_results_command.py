@@ -81,6 +81,8 @@ def test_changed_data_is_named(tmp_path, monkeypatch):
     data = tmp_path / "data.toml"
     data.write_text("a = 1")
     before = provenance.now("make it", (), ("data.toml",), ())
+    data.write_text("# The first number.\na = 1  # m\n")
+    assert not provenance.changes(before, provenance.now("make it", (), ("data.toml",), ()))
     data.write_text("a = 2")
     assert provenance.changes(before, provenance.now("make it", (), ("data.toml",), ())) == ["data.toml"]
 
