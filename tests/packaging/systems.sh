@@ -35,7 +35,7 @@ fresh_system() {
     if [ ! -s "$archive" ]; then
         variant=minbase more=
         if [ "$architecture" != "$(dpkg --print-architecture)" ]; then
-            variant=extract more=,base-files,base-passwd,bash,coreutils,dash,grep,libc-bin,login,passwd,sed
+            variant=extract more=,base-files,base-passwd,bash,coreutils,dash,grep,libc-bin,libstdc++6,login,passwd,sed
         fi
         # Named, because only a target that ends in .tar would be taken for an archive.
         mmdebstrap --quiet --format=tar --variant="$variant" --architectures="$architecture" --dpkgopt=force-unsafe-io \
