@@ -247,6 +247,27 @@ def test_a_turning_aircraft_leaves_its_path_within_its_speed():
     assert (np.linalg.norm(spans, axis=1) / 0.1).max() < 5.0 + 1e-6
 
 
+def test_a_frozen_aircraft_turns_likewise_but_reports_its_first_velocity(monkeypatch):
+    seen = {}
+    decide = k.decide
+
+    def spy(neighbours, count, own, *others):
+        if not any(getattr(other, "law", None) == k.NONE for other in others):
+            sent = k.Other(*neighbours[:count].T)
+            seen[kind].update(zip(sent.vn.tolist(), sent.ve.tolist(), strict=True))
+        return decide(neighbours, count, own, *others)
+
+    monkeypatch.setattr(k, "decide", spy)
+    not_compiled(monkeypatch)
+    flown = {}
+    for kind in (vehicles.TURNING, vehicles.FROZEN):
+        seen[kind] = set()
+        flown[kind] = fly(*HEAD_ON, EXACT, steps=100, kinds=[vehicles.AVOIDS, kind])[1][:, 1]
+    assert np.array_equal(flown[vehicles.TURNING], flown[vehicles.FROZEN])
+    assert len(seen[vehicles.TURNING]) > 3
+    assert len(seen[vehicles.FROZEN]) == 1
+
+
 def test_wind_clock_errors_and_velocity_errors_have_an_effect(monkeypatch):
     calm = fly(*HEAD_ON, SHORT, ALONE, steps=600)[1]
     shaken = fly(*HEAD_ON, replace(SHORT, gust_mps2=0.6), ALONE, steps=600)[1]
