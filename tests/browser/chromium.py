@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
+import signal
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 _ARGUMENTS = (
@@ -56,3 +59,37 @@ def opened(width: int, height: int, *, offline: bool = False) -> Iterator[Page]:
             yield Page(context.new_page())
         finally:
             browser.close()
+
+
+@contextlib.contextmanager
+def stopped() -> Iterator[None]:
+    """All browsers that this process has started stand still, as on a phone that sleeps."""
+    browsers = [pid for pid in _descendants() if "chrom" in _read(pid, "comm")]
+    assert browsers
+    for pid in browsers:
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for pid in browsers:
+            os.kill(pid, signal.SIGCONT)
+
+
+def _descendants() -> list[int]:
+    parents = {int(path.name): _parent(int(path.name)) for path in Path("/proc").glob("[0-9]*")}
+    found = [os.getpid()]
+    for pid in found:
+        found += [child for child, parent in parents.items() if parent == pid]
+    return found[1:]
+
+
+def _parent(pid: int) -> int:
+    fields = _read(pid, "stat").rpartition(")")[2].split()
+    return int(fields[1]) if fields else 0
+
+
+def _read(pid: int, name: str) -> str:
+    try:
+        return Path(f"/proc/{pid}/{name}").read_text()
+    except OSError:
+        return ""
