@@ -140,9 +140,13 @@ def _on_manoeuvres(aircraft: Sequence[dict[str, Any]]) -> str:
 
 
 def _on_faults(aircraft: Sequence[dict[str, Any]]) -> str:
-    counts = Counter(_fault(row) for one in aircraft for row in one["faults"])
-    words = f"Faults and warnings: {counts.total()}"
-    return f"{words}; {_most(counts.most_common())}" if counts else words
+    """Doubts about tracks that were withdrawn, as those of a start, are no faults, and stand at the end."""
+    rows = [row for one in aircraft for row in one["faults"]]
+    lasting = Counter(_fault(row) for row in rows if row["until_s"] is None)
+    withdrawn = Counter(_fault(row) for row in rows if row["until_s"] is not None)
+    words = f"Faults and warnings: {lasting.total()}"
+    words += f"; {_most(lasting.most_common())}" if lasting else ""
+    return f"{words}; doubts that were withdrawn: {_most(withdrawn.most_common())}" if withdrawn else words
 
 
 def _fault(row: dict[str, Any]) -> str:
@@ -151,8 +155,7 @@ def _fault(row: dict[str, Any]) -> str:
     if row["what"] in ("vehicle", "companion"):
         return f"{row['what']}: {row['text']}"
     if row["what"].startswith("track "):
-        words = f"{row['what'].rpartition(': ')[0]}: {row['text'].partition(';')[0]}"
-        return words if row["until_s"] is None else f"{words} (withdrawn)"
+        return f"{row['what'].rpartition(': ')[0]}: {row['text'].partition(';')[0]}"
     return str(row["what"])
 
 

@@ -106,8 +106,10 @@ def test_the_first_lines_say_what_a_doubt_means(tmp_path, withdrawn):
     steps += [step(2.0, TrackFlagged(text=f"no longer: {words}", **flag))] if withdrawn else []
     write(tmp_path, ONE, steps)
     (line,) = (line for line in headline.verdicts(describe(read_run(tmp_path))) if line.startswith("Faults"))
-    after = " (withdrawn)" if withdrawn else ""
-    assert line == f"Faults and warnings: 1; track TWO: B: {words}{after}"
+    doubt = f"track TWO: B: {words}"
+    assert line == "Faults and warnings: " + (
+        f"0; doubts that were withdrawn: {doubt}" if withdrawn else f"1; {doubt}"
+    )
 
 
 def test_repeated_faults_are_one_row_and_are_counted(tmp_path):
