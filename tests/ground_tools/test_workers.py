@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+import ground_tools.__main__
 from companion.errors import ConfigError
 from ground_tools.common.workers import in_parallel, rounds_in_parallel
 from tests.support.waiting import until
@@ -69,3 +70,16 @@ def test_an_error_in_one_item_ends_all():
     # join() is not used, because a thread of the pool may already have waited for the processes.
     left = [Path(f"/proc/{child.pid}") for child in multiprocessing.active_children()]
     until(lambda: not any(path.exists() for path in left), "their end", 60.0)
+
+
+@pytest.mark.parametrize(("given", "used"), [(None, "1"), ("3", "3")])
+def test_numpy_multiplies_in_one_thread_unless_told_otherwise(monkeypatch, given, used):
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    if given is not None:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", given)
+    found = []
+    monkeypatch.setattr(
+        ground_tools.__main__, "start", lambda _: found.append(os.environ["OPENBLAS_NUM_THREADS"]) or 0
+    )
+    ground_tools.__main__.main()
+    assert found == [used]
