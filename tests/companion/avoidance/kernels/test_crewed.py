@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from companion.avoidance import kernels as k
-from companion.avoidance.kernels.crewed import LEAST_RISK
+from companion.avoidance.kernels.crewed import LEAST_RISK, _free
+from companion.avoidance.kernels.fence_planes import FENCE_MARGIN_M
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
@@ -79,6 +80,13 @@ def test_who_is_near_already_is_left(known: float) -> None:
     assert e > 1.0 or known
 
 
+@pytest.mark.parametrize(("above_m", "conflict"), [(320.0, False), (150.0, True)])
+def test_a_descent_is_flown_ahead(above_m: float, conflict: bool) -> None:
+    """It passes over us in 10 s and descends at 10 m/s: by 79 m until then, because descents end."""
+    coming = other((400.0, 0.0, -80.0 - above_m), (-40.0, 0.0, 10.0))
+    assert wish_of(coming)[1] is conflict
+
+
 def test_an_unknown_height_leaves_the_side() -> None:
     """And away from the line on which it comes, to the nearer side of it."""
     for side in (-150.0, 150.0):
@@ -119,6 +127,14 @@ def test_a_wall_is_no_way_out() -> None:
     )
     (n, e, _), _ = wish_of(coming, walls=walls)
     assert (n, e) != pytest.approx(wish_of(coming)[0][:2])
+
+
+@pytest.mark.parametrize("sigma_m", [1.0, 6.0])
+def test_the_way_to_a_wall_leaves_its_margin_and_the_error_of_the_own_position(sigma_m: float) -> None:
+    wall = np.array([k.Wall(0.0, k.IN_POLYGON, 100.0, -900.0, 100.0, 900.0, 0.0)])
+    own = k.Own(k.Vector(20.0, 0.0, -80.0), k.Vector(0.0, 0.0, 0.0), sigma_m, 0.0, 0.0, FLOOR_D, CEILING_D)
+    assert _free(wall, own, 3.0, 0.0) == pytest.approx(80.0 - FENCE_MARGIN_M - 2.0 * sigma_m)
+    assert _free(wall, own, -3.0, 0.0) == math.inf
 
 
 def test_two_cost_more_than_one() -> None:

@@ -252,7 +252,7 @@ def flipped(pages):
             Verdict.FOREIGN,
         ),
         ({"age_s": 11.0}, Flag.REPLAYED_SIGNATURE, Verdict.REPLAYED),
-        ({"age_s": -10.0}, Flag.REPLAYED_SIGNATURE, Verdict.EARLY),
+        ({"age_s": -6.0}, Flag.REPLAYED_SIGNATURE, Verdict.EARLY),
         ({"age_s": 5.0, "valid_s": 4}, Flag.REPLAYED_SIGNATURE, Verdict.EXPIRED),
         ({"change": lambda pages: pages[:3] + pages[4:]}, Flag.INCOMPLETE_SIGNATURE, Verdict.INCOMPLETE),
     ],
@@ -269,7 +269,7 @@ def test_each_wrong_signature_is_refused_and_named(by, signing, flag, verdict):
     track = listener.traffic.tracks[identity.uas_id]
     assert flag in track.flags
     assert not track.proven
-    assert counted(listener)[verdict] >= 7
+    assert 7 <= counted(listener)[verdict] <= 8, "of eight, each once"
     assert not listener.ever & ({*Flag} - {flag, Flag.UNSIGNED})
     assert flag.value in [report.flag for report in listener.reports]
     assert listener.traffic.neighbours(20.0), "it is avoided like everybody"
