@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.avoidance import kernels as k
-from companion.avoidance.kernels.crewed import LEAST_RISK, _free
+from companion.avoidance.kernels.crewed import LEAST_RISK, _Follow, _free, _place, _View, _Way
 from companion.avoidance.kernels.fence_planes import FENCE_MARGIN_M
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
@@ -135,6 +135,29 @@ def test_the_way_to_a_wall_leaves_its_margin_and_the_error_of_the_own_position(s
     own = k.Own(k.Vector(20.0, 0.0, -80.0), k.Vector(0.0, 0.0, 0.0), sigma_m, 0.0, 0.0, FLOOR_D, CEILING_D)
     assert _free(wall, own, 3.0, 0.0) == pytest.approx(80.0 - FENCE_MARGIN_M - 2.0 * sigma_m)
     assert _free(wall, own, -3.0, 0.0) == math.inf
+
+
+@pytest.mark.parametrize(("t_s", "left"), [(0.0, 1.0), (2.0, 0.6), (5.0, 0.0), (20.0, 0.0)])
+def test_the_way_along_the_path_closes_the_gap_to_it(t_s: float, left: float) -> None:
+    """The path leads north at 5 m/s; the aircraft is 13 m from it, and returns at 2.6 m/s."""
+    own = k.Own(k.Vector(3.0, 4.0, -92.0), k.Vector(0.0, 0.0, 0.0), 1.5, 0.0, 0.0, FLOOR_D, CEILING_D)
+    follow = _Follow(k.Vector(3.0, 4.0, -12.0), 2.6, 0.0)
+    view = _View(0, np.zeros((0, 1, 1)), own, k.Path(*NORTH.arrays), follow, 600.0, 75.0)
+    place = _place(_Way(k.Vector(5.0, 0.0, 0.0), 0.0, math.inf, 1.0, 1.0), t_s, view)
+    assert place == pytest.approx((5.0 * t_s + 3.0 * left, 4.0 * left, -80.0 - 12.0 * left))
+
+
+def test_only_the_place_relative_to_us_counts() -> None:
+    """One that comes first of more than can be weighed, and far from the origin."""
+    n, e = 20_000.0, -30_000.0
+    there = Trajectory([0.0, 500.0], [(n, e, -80.0), (n, e, -80.0)])
+    crowd = [(9000.0, 100.0 * i, -80.0) for i in range(40)]
+    places = [*crowd, (1500.0, 100.0, -85.0)]
+    here = wish_of(*(other(place, (-40.0, 0.0, 0.0)) for place in places))
+    moved = (other((x + n, y + e, z), (-40.0, 0.0, 0.0)) for x, y, z in places)
+    wish, gives_way = wish_of(*moved, path=there, at=(n, e, -80.0))
+    assert gives_way
+    assert wish == pytest.approx(here[0])
 
 
 def test_two_cost_more_than_one() -> None:
