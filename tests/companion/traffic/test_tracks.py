@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,6 +13,8 @@ from companion.avoidance.law import OLDEST_S
 from companion.config import TrafficConfig
 from companion.remote_id.messages import Location
 from companion.traffic.fix import SIGMA_MOST_M, SIGMA_UNKNOWN_M
+from companion.traffic.matching import _follows
+from companion.traffic.track import Earlier, flown, near, reach
 from tests.companion.traffic.listening import SEPARATION_M, UTC_OFFSET_S, Listener, basic, location
 
 
@@ -200,3 +204,22 @@ def test_every_number_of_a_neighbour_is_finite():
     listener.hear(10.0, basic("X"), location(direction_deg=None, speed_mps=3.0))
     (n,) = listener.traffic.neighbours(10.0)
     assert all(map(math.isfinite, (*n.position_ned_m, *n.velocity_ned_mps, n.age_s, n.sigma_m)))
+
+
+def test_how_far_from_where_it_was_predicted_an_aircraft_may_be():
+    """After 2 s, with 3 m of noise: by 10 m/s^2 it flies 20 m aside; two aircraft are told apart by more."""
+    assert near(3.0) == 10.0 + 6.0
+    assert flown(2.0, 3.0) == near(3.0) + 2.0 * 4.0 + 20.0
+    assert reach(2.0, 3.0) == 20.0 + 12.0 + 2.0 * 8.0 + 20.0
+
+
+@pytest.mark.parametrize(("passed_s", "allowed_m"), [(0.0, 22.0), (0.2, 23.0), (1.5, 39.25)])
+def test_a_row_of_quick_messages_moves_a_track_no_farther_than_the_time_allows(passed_s, allowed_m):
+    """Of an aircraft that hovers, with 3 m of error in both messages."""
+    earlier = Earlier(10.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 3.0, False, 3.0, True)
+    track = SimpleNamespace(earlier=earlier, velocity_known=True, declared_s=None, leads_s=deque([0.0]))
+    for over_m in (-0.01, 0.01):
+        fix = SimpleNamespace(
+            position=(0.0, allowed_m + over_m, 0.0), velocity=None, sigma_m=3.0, vertical_known=False
+        )
+        assert _follows(track, fix, 10.0 + passed_s, others=False) is (over_m < 0.0)
