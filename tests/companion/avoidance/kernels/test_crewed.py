@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from companion.avoidance import kernels as k
-from companion.avoidance.kernels.crewed import LEAST_RISK, _Follow, _free, _place, _View, _Way
+from companion.avoidance.kernels.crewed import LEAST_RISK, _Follow, _free, _place, _predict, _View, _Way
 from companion.avoidance.kernels.fence_planes import FENCE_MARGIN_M
+from companion.avoidance.kernels.settings import AHEAD_COLUMNS, STEPS
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
@@ -104,6 +105,18 @@ def test_a_turn_is_flown_ahead() -> None:
     turning, gives_way = wish_of(other((-600.0, -900.0, -80.0), turn_rps=math.radians(3.0), **near))
     assert gives_way
     assert turning != pytest.approx(straight, abs=1.0)
+
+
+@pytest.mark.parametrize("rate", [0.05, -0.03])
+def test_a_turn_fades_with_a_time_constant_of_40_s(rate: float) -> None:
+    """Less the noise of 0.01 rad/s. Between two moments, 4 s apart, it flies at 50 m/s."""
+    ahead = np.zeros((STEPS, AHEAD_COLUMNS))
+    _predict(other((0.0, 0.0, -80.0), (50.0, 0.0, 0.0), turn_rps=rate), -80.0, ahead)
+    way = np.diff(ahead[:, :2], axis=0)
+    middle_s = 4.0 * np.arange(STEPS - 1) + 2.0
+    course = math.copysign(abs(rate) - 0.01, rate) * 40.0 * (1.0 - np.exp(-middle_s / 40.0))
+    assert np.arctan2(way[:, 1], way[:, 0]) == pytest.approx(course, abs=0.005)
+    assert np.hypot(*way.T) == pytest.approx(200.0, rel=0.005)
 
 
 @pytest.mark.parametrize("speed_mps", [0.0, 1.0, 3.0])
