@@ -16,8 +16,8 @@ HERE = 0.0, 0.0, -50.0
 
 
 def heard(name: str, north_m: float = 100.0, **more: Any) -> Neighbour:
-    values = {"velocity_ned_mps": (3.0, 0.0, 0.0), "age_s": 1.0, "sigma_m": 3.0}
-    return Neighbour(name, (north_m, 0.0, -60.0), **{**values, **more})
+    values = {"position_ned_m": (north_m, 0.0, -60.0), "velocity_ned_mps": (3.0, 0.0, 0.0)}
+    return Neighbour(name, **{**values, "age_s": 1.0, "sigma_m": 3.0, **more})
 
 
 def published(publication: Publication, now_s: float, *others: Neighbour) -> list[TrafficReport]:
@@ -72,6 +72,14 @@ def test_each_is_reported_once_in_a_period_and_no_two_at_once() -> None:
     names = [f"RIDN{count}" for count in range(MOST)]
     assert sorted(name for _, name in sent[:MOST]) == names, "the nearest ones"
     assert [name for _, name in sent[MOST : 2 * MOST]] == [name for _, name in sent[:MOST]]
+
+
+def test_the_nearest_ones_are_those_to_the_side_whatever_their_height() -> None:
+    publication, here = Publication(), (5.0, -400.0, -900.0)
+    places = [(5.0 + 7.0 * k, -400.0 - 20.0 * k, -60.0 * (20 - k)) for k in range(2 * MOST)]
+    others = [heard(f"N{k}", position_ned_m=place) for k, place in enumerate(places)]
+    told = [publication.due(0.1 * tick, here, HOME, others[::-1]) for tick in range(MOST)]
+    assert {report.callsign for (report,) in told} == {f"RIDN{k}" for k in range(MOST)}
 
 
 @pytest.mark.parametrize(("age_s", "shown"), [(9.9, True), (10.1, False)])
