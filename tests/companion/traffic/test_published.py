@@ -76,7 +76,8 @@ def test_each_is_reported_once_in_a_period_and_no_two_at_once() -> None:
 
 def test_the_nearest_ones_are_those_to_the_side_whatever_their_height() -> None:
     publication, here = Publication(), (5.0, -400.0, -900.0)
-    places = [(5.0 + 7.0 * k, -400.0 - 20.0 * k, -60.0 * (20 - k)) for k in range(2 * MOST)]
+    ways = [(20.0 * k, 0.0) if k % 2 else (0.0, -20.0 * k) for k in range(2 * MOST)]
+    places = [(here[0] + n, here[1] + e, -60.0 * (20 - k)) for k, (n, e) in enumerate(ways)]
     others = [heard(f"N{k}", position_ned_m=place) for k, place in enumerate(places)]
     told = [publication.due(0.1 * tick, here, HOME, others[::-1]) for tick in range(MOST)]
     assert {report.callsign for (report,) in told} == {f"RIDN{k}" for k in range(MOST)}

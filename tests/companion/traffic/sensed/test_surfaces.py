@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from companion.traffic.sensed.sensed import _aside_m
 from companion.traffic.sensed.surfaces import CELL_M, MOST, Surfaces
 from tests.companion.traffic.sensed.made import AT_S, pose, seen
 
@@ -25,3 +26,14 @@ def test_of_each_cell_the_nearest_place_is_held_and_of_all_the_nearest_cells() -
         (24.0, CELL_M * column + 1.0) for column in range(MOST)
     ]
     assert {one.measured for one in surfaces.held.values()} == {2}
+
+
+@pytest.mark.parametrize(
+    ("across_m", "flat", "margin_m"),
+    [(4.4, True, 4.4), (4.6, True, 2.3), (4.6, False, 4.6), (1.0, True, 1.0)],
+)
+def test_the_margin_of_a_place_is_its_half_width_unless_its_sector_is_wide(
+    across_m: float, flat: bool, margin_m: float
+) -> None:
+    """From 15 % of 30 m on."""
+    assert _aside_m(seen(30.0, 0.0, across_m=across_m, flat=flat), 30.0) == pytest.approx(margin_m)
