@@ -13,6 +13,7 @@ from companion.remote_id.authentication import AuthenticationData, split
 from companion.remote_id.codec import decode, encode, encode_pack
 from companion.remote_id.drip.det import make_det
 from companion.remote_id.drip.evidence import (
+    FRAME,
     MANIFEST,
     NO_HASH,
     WRAPPER,
@@ -197,6 +198,9 @@ def test_signatures_say_nothing_without_keys():
     assert listener.ever == set()
     assert listener.traffic.signatures is None
     assert len(listener.traffic.tracks["X"].about.authentication.data) == 121
+    listener, frame = Listener(keys=KEYS), AuthenticationData(5, None, bytes((FRAME, *range(100))))
+    listener.hear(10.0, basic(), *split(frame))
+    assert counted(listener) == {}, "a kind of evidence that is not judged"
 
 
 def test_a_signed_liar_is_judged_like_any_other():
