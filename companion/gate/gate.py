@@ -152,10 +152,10 @@ class Gate:
             return "no message of the vehicle has arrived", False
         if self._bounds.mixed(now_s):
             return "old messages of the vehicle arrive after newer ones", False
-        if self._bounds.late(now_s):
-            return f"by its own clock, the vehicle's messages arrive {self._bounds.delay(now_s)}", True
         if now_s - self._heard_s > _SILENCE_S:
             return f"the vehicle has sent nothing for {now_s - self._heard_s:.1f} s", False
+        if self._bounds.late(now_s):
+            return f"by its own clock, the vehicle's messages arrive {self._bounds.delay(now_s)}", True
         return "no message has shown the vehicle's mode since its messages were last late or missing", False
 
     # ------------------------------------------------------------ in

@@ -305,6 +305,7 @@ def test_impossible_traffic_is_bad_data(over: dict[str, int]) -> None:
         (b"AB\0CD", "AB"),
         (b"ABCDEFGHI", "ABCDEFGHI"),
         (b"A\x1b[2J\xe9", "A?[2J?"),
+        (b" A~\x7f\x1f", "A~??"),
     ],
 )
 def test_callsigns_are_printable_ascii(field: bytes, text: str) -> None:

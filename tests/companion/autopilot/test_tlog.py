@@ -43,8 +43,8 @@ def test_what_is_written_is_read() -> None:
 def test_the_writer_keeps_messages_that_the_dialect_does_not_know() -> None:
     unknown = bytes([0xFD, 3, 0, 0, 0, 1, 1, 0x39, 0x30, 0, 1, 2, 3, 0xAA, 0xBB])
     stream = io.BytesIO()
-    TlogWriter(stream).received(UTC_S, b"noise" + unknown + frame(1))
-    assert [raw for _, raw in read(stream.getvalue())] == [unknown, frame(1)]
+    TlogWriter(stream).received(UTC_S, b"noise" + unknown + frame(1) + unknown)
+    assert [raw for _, raw in read(stream.getvalue())] == [unknown, frame(1), unknown]
 
 
 def test_both_versions_of_mavlink() -> None:

@@ -3,7 +3,9 @@
 import pytest
 
 from companion.events import ClockRead
+from companion.gate.gate import Gate
 from tests.companion.gate.authority import flying
+from tests.companion.gate.flying import config
 
 
 def flies_for(one, rate, seconds, *, answers=True, link_s=lambda passed_s: 0.0):
@@ -61,3 +63,25 @@ def test_an_answer_of_long_ago_or_of_another_clock_moves_nothing():
     one.gate.emptied(one.now_s)
     one.gate.decided(one.now_s)
     assert not one.flies()
+
+
+def test_why_messages_may_be_old_in_words():
+    gate, one = Gate(config()), flying()
+    gate.emptied(10.0)
+    assert gate.behind_because(10.0) == ("no message of the vehicle has arrived", False)
+    assert gate.behind_because(10.3) == ("the vehicle's messages were not read in time here", False)
+    for age_s in (0.2, 0.4, 0.6):
+        one.now_s += 0.21
+        one.position(age_s)
+        one.gate.emptied(one.now_s)
+    why = "by its own clock, the vehicle's messages arrive 0.6 s late (allowed: up to 0.5 s)"
+    assert one.gate.behind_because(one.now_s) == (why, True)
+    one.position()
+    why = "no message has shown the vehicle's mode since its messages were last late or missing"
+    assert one.gate.behind_because(one.now_s) == (why, False)
+    for silent_s in (3.0, 60.0):
+        heard_s = one.now_s if silent_s == 3.0 else heard_s
+        one.now_s = heard_s + silent_s
+        one.gate.emptied(one.now_s)
+        why = f"the vehicle has sent nothing for {silent_s:.1f} s"
+        assert one.gate.behind_because(one.now_s) == (why, False)

@@ -49,6 +49,7 @@ def test_split_and_put_together_over_the_wire(size, count):
 def test_more_than_the_length_byte_can_say_is_refused():
     with pytest.raises(ValueError, match="256 bytes"):
         split(AuthenticationData(1, UTC_S, bytes(256)))
+    assert len(split(AuthenticationData(1, UTC_S, bytes(255)), parity=True)) == 13
 
 
 @given(st.permutations(range(4)), st.lists(st.integers(0, 3), max_size=4))

@@ -86,6 +86,17 @@ def test_one_message_moves_ages_and_freezes_nothing(bent, lead_s):
     assert list(listener.traffic.tracks) == ["X"]
 
 
+def test_two_that_stop_declaring_a_velocity_stay_two():
+    listener = Listener()
+    for now_s in seconds(20):
+        told = {} if now_s < 20.0 else {"speed_mps": None, "direction_deg": None}
+        fly(listener, straight(), [now_s], **told)
+        fly(listener, aside(40.0), [now_s + 0.2], delay_s=0.1, **told)
+    assert len(listener.traffic.tracks) == 2
+    assert nearest_m(listener, straight(), now_s + 0.3) < 1.0
+    assert nearest_m(listener, aside(40.0), now_s + 0.3) < 1.0
+
+
 def test_a_glitch_of_one_position_leaves_a_ghost_until_a_silent_track_is_removed():
     listener = Listener()
     for t in seconds(30):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from companion.remote_id.messages import IdType
+from companion.traffic.table import TRACKS_PER_IDENTITY
 from tests.companion.traffic.flights import Listener, basic, fly, location, seconds, straight
 
 
@@ -75,6 +78,36 @@ def test_an_established_track_that_flew_away_gives_way_before_one_that_is_nearer
 
     fly(listener, approaching, [36.0], identity="NEW", address="n")
     assert set(listener.traffic.tracks) == {"STAYING", "NEW"}
+
+
+def test_in_a_full_table_a_newcomer_that_ranks_last_is_left_out():
+    """It is in nobody's way, and those that are held have been heard for longer."""
+    listener = Listener(max_tracks=2)
+    for name, north_m in (("A", 300.0), ("B", -300.0)):
+        fly(listener, straight(0.0, north_m, 0.0), seconds(8), identity=name, address=name)
+    fly(listener, straight(0.0, 0.0, 300.0), seconds(3, 20.0), identity="NEW", address="n")
+    assert set(listener.traffic.tracks) == {"A", "B"}
+    assert listener.traffic.counts.refused_full == 3
+    assert len(listener.traffic._table.ranking) == 2
+
+
+def test_a_copy_that_is_no_threat_does_not_take_the_place_of_those_that_are():
+    """We are at the origin. All that are held fly at us, from different directions; one seems to jump."""
+    listener = Listener()
+    listener.traffic.note_own(10.0, (0.0, 0.0, -50.0), (0.0, 0.0, 0.0))
+
+    def coming(number):
+        angle = math.tau * number / TRACKS_PER_IDENTITY
+        n, e = math.cos(angle), math.sin(angle)
+        return lambda t: (150.0 * n, 150.0 * e, -15.0 * n, -15.0 * e, 50.0)
+
+    for number in range(TRACKS_PER_IDENTITY):
+        fly(listener, coming(number), [10.0], address=f"{number}")
+    held = set(listener.traffic.tracks)
+    assert len(held) == TRACKS_PER_IDENTITY
+    fly(listener, straight(0.0, 900.0, 900.0), [10.1], address="0")
+    assert set(listener.traffic.tracks) == held
+    assert listener.traffic.counts.refused_full == 1
 
 
 def test_an_unknown_height_is_no_manoeuvre():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,6 +13,8 @@ from companion.avoidance.law import OLDEST_S
 from companion.config import TrafficConfig
 from companion.remote_id.messages import Location
 from companion.traffic.fix import SIGMA_MOST_M, SIGMA_UNKNOWN_M
+from companion.traffic.matching import _follows
+from companion.traffic.track import Earlier, Track, flown, near, reach
 from tests.companion.traffic.listening import SEPARATION_M, UTC_OFFSET_S, Listener, basic, location
 
 
@@ -200,3 +204,53 @@ def test_every_number_of_a_neighbour_is_finite():
     listener.hear(10.0, basic("X"), location(direction_deg=None, speed_mps=3.0))
     (n,) = listener.traffic.neighbours(10.0)
     assert all(map(math.isfinite, (*n.position_ned_m, *n.velocity_ned_mps, n.age_s, n.sigma_m)))
+
+
+def test_how_far_from_where_it_was_predicted_an_aircraft_may_be():
+    """After 2 s, with 3 m of noise: by 10 m/s^2 it flies 20 m aside; two aircraft are told apart by more."""
+    assert near(3.0) == 10.0 + 6.0
+    assert flown(2.0, 3.0) == near(3.0) + 2.0 * 4.0 + 20.0
+    assert reach(2.0, 3.0) == 20.0 + 12.0 + 2.0 * 8.0 + 20.0
+
+
+@pytest.mark.parametrize(("passed_s", "allowed_m"), [(0.0, 22.0), (0.2, 23.0), (1.5, 39.25)])
+def test_a_row_of_quick_messages_moves_a_track_no_farther_than_the_time_allows(passed_s, allowed_m):
+    """Of an aircraft that hovers, with 3 m of error in both messages."""
+    earlier = Earlier(10.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 3.0, False, 3.0, True)
+    track = SimpleNamespace(earlier=earlier, velocity_known=True, declared_s=None, leads_s=deque([0.0]))
+    for over_m in (-0.01, 0.01):
+        fix = SimpleNamespace(
+            position=(0.0, allowed_m + over_m, 0.0), velocity=None, sigma_m=3.0, vertical_known=False
+        )
+        assert _follows(track, fix, 10.0 + passed_s, others=False) is (over_m < 0.0)
+
+
+def clock(**state):
+    """What a track knows of its sender's clock, which leads ours by half a second."""
+    known = {"base_lead_s": 0.5, "clock_s": 10.0, "sample_s": 10.0, "leads_s": deque([0.5])}
+    return SimpleNamespace(**known | state)
+
+
+def test_a_clock_that_leads_more_is_believed_once_the_other_was_not_heard_for_ten_seconds():
+    known = clock()
+    assert not Track.note_lead(known, 4.5, 19.9)
+    assert [Track.note_lead(known, 4.5, now_s) for now_s in (20.1, 21.1)] == [True, True]
+    assert known.base_lead_s == 4.5
+
+
+def test_a_clock_that_leads_less_replaces_what_was_learnt_unless_its_message_is_old():
+    delayed, late, other = clock(), clock(), clock()
+    assert Track.note_lead(delayed, -2.4, 15.0)  # by up to 3 s of delay
+    assert (delayed.base_lead_s, list(delayed.leads_s)) == (0.5, [0.5, -2.4])
+    assert Track.note_lead(late, -2.6, 12.5)
+    assert (late.base_lead_s, list(late.leads_s)) == (0.5, [0.5, -2.6])
+    assert Track.note_lead(other, -2.6, 12.7)
+    assert (other.base_lead_s, list(other.leads_s)) == (-2.6, [-2.6])
+
+
+def test_a_late_message_of_a_clock_that_leads_is_as_old_as_it_is_late():
+    listener = Listener()
+    for second in range(5):
+        listener.hear(10.2 + second, basic("X"), location(timestamp_s=11.0 + second))
+    listener.hear(16.2, basic("X"), location(timestamp_s=16.0, north_m=105.0))
+    assert listener.traffic.neighbours(16.2)[0].age_s == pytest.approx(1.0)

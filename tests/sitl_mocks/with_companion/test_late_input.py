@@ -102,7 +102,9 @@ def read(rate, readings, down_s=lambda now_s: 0.01, jump_s=0.0):
 def test_only_a_clock_that_loses_steadily_is_called_slow():
     assert read(0.953, 30) == pytest.approx(0.953, abs=1e-9)
     assert read(0.99, 30) == pytest.approx(0.99, abs=1e-9)
+    assert read(0.953, 1) is None
     assert read(0.953, 20) is None  # 19 s are too short
+    assert read(0.953, 21) == pytest.approx(0.953, abs=1e-9)
     assert read(0.9995, 60) is None  # as good as the gate asks for
     assert read(1.05, 30) is None  # ahead of ours
     assert read(1.0, 30, jump_s=0.9) is None  # stood still once

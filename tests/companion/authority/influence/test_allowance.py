@@ -81,6 +81,15 @@ def test_a_new_name_inside_takes_over_what_the_last_one_used():
     assert sky.run(10.0, other("C", at=(-50.0, 0.0, 0.0)), radius_m=30.0) == ["C"]
 
 
+@pytest.mark.parametrize(("away_s", "less"), [(4.0, True), (8.0, False)])
+def test_one_that_pressed_has_no_heir_after_twice_the_time_that_it_was_inside(away_s, less):
+    sky = Sky()
+    sky.run(3.0, other("A", at=(-7.0, 0.0, 0.0), velocity=ZERO))
+    sky.run(away_s, other("A", at=(200.0, 0.0, 0.0), velocity=ZERO))
+    sky.run(1.0, other("B", at=(-5.0, 0.0, 0.0), velocity=ZERO))
+    assert (sky.all._tracks[False, "B"].inside.used_s > 2.0) is less
+
+
 def test_a_track_that_is_gone_is_not_charged():
     """The law may still show it for a step."""
     sky = Sky()

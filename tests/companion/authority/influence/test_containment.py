@@ -163,7 +163,9 @@ def test_crewed_traffic_widens_it_until_the_aircraft_is_back():
     assert flight.reach(1.0, 0.0) == pytest.approx(762.5, abs=26.0)
     flight.own.place = (400.0, 0.0)
     assert flight.heights(60.0) == (15.0, 146.25)
-    flight.own.place = (100.0, 0.0)
+    flight.own.place, flight.own.height_m = (100.0, 0.0), 80.5
+    assert flight.heights(60.5) == (15.0, 146.25), "it is not back in the height"
+    flight.own.height_m = 80.0
     assert flight.heights(61.0) == (20.0, 80.0)
     assert flight.reach(1.0, 0.0) == pytest.approx(50.0, abs=6.0)
 

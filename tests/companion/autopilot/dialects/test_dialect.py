@@ -40,6 +40,8 @@ def test_px4_numbers_are_main_and_sub() -> None:
     mission = PX4.command(FlightMode.MISSION)
     assert (mission.custom_mode, mission.param2, mission.param3) == (0x04040000, 4.0, 4.0)
     assert PX4.mode(1, 0x05040000) is FlightMode.OTHER
+    for main in (1, 2, 3, 5, 6, 7):
+        assert PX4.name(main << 16) == mavutil.interpret_px4_mode(1, main << 16)
     assert PX4.name(0x05040000) == "AUTO.RTL"
     assert PX4.name(0x63000000) == f"mode {0x63000000}"
 

@@ -94,7 +94,7 @@ def test_old_vehicles_answer_in_floats(px4: Scripted) -> None:
     start(px4)
     px4.says(count(1))
     wait(px4, 3)
-    assert requested(px4)[-1] == ("MISSION_REQUEST", 0)
+    assert requested(px4) == [*[("MISSION_REQUEST_INT", 0)] * 3, ("MISSION_REQUEST", 0)]
     (downloaded,) = px4.says(float_item(0))
     assert isinstance(downloaded, MissionDownloaded)
     (only,) = downloaded.items
@@ -134,7 +134,16 @@ def test_absurd_counts_are_refused(px4: Scripted) -> None:
     assert isinstance(refused, MissionRefused)
 
 
-@pytest.mark.parametrize("over", [{"x": 910000000}, {"z": math.inf}])
+@pytest.mark.parametrize("y", [-1_800_000_000, 1_800_000_000])
+def test_the_180th_meridian_is_on_earth(px4: Scripted, y: int) -> None:
+    start(px4)
+    px4.says(count(1))
+    (downloaded,) = px4.says(item(0, x=900_000_000, y=y))
+    assert isinstance(downloaded, MissionDownloaded)
+    assert downloaded.items[0].lon_deg == y / 1e7
+
+
+@pytest.mark.parametrize("over", [{"x": 910000000}, {"y": 1800000001}, {"z": math.inf}])
 def test_a_senseless_item_ends_the_download(px4: Scripted, over: dict[str, Any]) -> None:
     start(px4)
     px4.says(count(1))

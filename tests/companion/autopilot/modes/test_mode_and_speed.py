@@ -295,3 +295,10 @@ def test_after_a_backlog_no_mode_is_asked_for_before_the_vehicle_shows_its_own(a
     ardupilot.heartbeat()
     ardupilot.after(0.05)
     assert len(mode_requests(ardupilot)) == 1
+    ardupilot.heartbeat()
+    ardupilot.link.begin_step(ardupilot.now_s, behind=True)
+    ardupilot.after(1.05)
+    assert mode_requests(ardupilot) == [], "the heartbeat since the first try may be old too"
+    ardupilot.heartbeat()
+    ardupilot.after(0.05)
+    assert len(mode_requests(ardupilot)) == 1

@@ -143,6 +143,8 @@ def test_a_fall_to_caution_is_not_said():
     looks.see(*[WARNING] * 3, *[CAUTION] * 60)
     assert [level for _, level in looks.changes()] == [3, 2]
     assert looks.texts() == ["warning X"]
+    looks.see(*[WARNING] * 20)
+    assert looks.texts() == ["warning X"], "it was said, and has not been over since"
 
 
 def test_when_all_is_over_that_is_said_once():

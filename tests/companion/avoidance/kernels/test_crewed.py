@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from companion.avoidance import kernels as k
-from companion.avoidance.kernels.crewed import LEAST_RISK
+from companion.avoidance.kernels.crewed import LEAST_RISK, _Follow, _free, _place, _predict, _View, _Way
+from companion.avoidance.kernels.fence_planes import FENCE_MARGIN_M
+from companion.avoidance.kernels.settings import AHEAD_COLUMNS, STEPS
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
@@ -79,6 +81,13 @@ def test_who_is_near_already_is_left(known: float) -> None:
     assert e > 1.0 or known
 
 
+@pytest.mark.parametrize(("above_m", "conflict"), [(320.0, False), (150.0, True)])
+def test_a_descent_is_flown_ahead(above_m: float, conflict: bool) -> None:
+    """It passes over us in 10 s and descends at 10 m/s: by 79 m until then, because descents end."""
+    coming = other((400.0, 0.0, -80.0 - above_m), (-40.0, 0.0, 10.0))
+    assert wish_of(coming)[1] is conflict
+
+
 def test_an_unknown_height_leaves_the_side() -> None:
     """And away from the line on which it comes, to the nearer side of it."""
     for side in (-150.0, 150.0):
@@ -96,6 +105,18 @@ def test_a_turn_is_flown_ahead() -> None:
     turning, gives_way = wish_of(other((-600.0, -900.0, -80.0), turn_rps=math.radians(3.0), **near))
     assert gives_way
     assert turning != pytest.approx(straight, abs=1.0)
+
+
+@pytest.mark.parametrize("rate", [0.05, -0.03])
+def test_a_turn_fades_with_a_time_constant_of_40_s(rate: float) -> None:
+    """Less the noise of 0.01 rad/s. Between two moments, 4 s apart, it flies at 50 m/s."""
+    ahead = np.zeros((STEPS, AHEAD_COLUMNS))
+    _predict(other((0.0, 0.0, -80.0), (50.0, 0.0, 0.0), turn_rps=rate), -80.0, ahead)
+    way = np.diff(ahead[:, :2], axis=0)
+    middle_s = 4.0 * np.arange(STEPS - 1) + 2.0
+    course = math.copysign(abs(rate) - 0.01, rate) * 40.0 * (1.0 - np.exp(-middle_s / 40.0))
+    assert np.arctan2(way[:, 1], way[:, 0]) == pytest.approx(course, abs=0.005)
+    assert np.hypot(*way.T) == pytest.approx(200.0, rel=0.005)
 
 
 @pytest.mark.parametrize("speed_mps", [0.0, 1.0, 3.0])
@@ -119,6 +140,37 @@ def test_a_wall_is_no_way_out() -> None:
     )
     (n, e, _), _ = wish_of(coming, walls=walls)
     assert (n, e) != pytest.approx(wish_of(coming)[0][:2])
+
+
+@pytest.mark.parametrize("sigma_m", [1.0, 6.0])
+def test_the_way_to_a_wall_leaves_its_margin_and_the_error_of_the_own_position(sigma_m: float) -> None:
+    wall = np.array([k.Wall(0.0, k.IN_POLYGON, 100.0, -900.0, 100.0, 900.0, 0.0)])
+    own = k.Own(k.Vector(20.0, 0.0, -80.0), k.Vector(0.0, 0.0, 0.0), sigma_m, 0.0, 0.0, FLOOR_D, CEILING_D)
+    assert _free(wall, own, 3.0, 0.0) == pytest.approx(80.0 - FENCE_MARGIN_M - 2.0 * sigma_m)
+    assert _free(wall, own, -3.0, 0.0) == math.inf
+
+
+@pytest.mark.parametrize(("t_s", "left"), [(0.0, 1.0), (2.0, 0.6), (5.0, 0.0), (20.0, 0.0)])
+def test_the_way_along_the_path_closes_the_gap_to_it(t_s: float, left: float) -> None:
+    """The path leads north at 5 m/s; the aircraft is 13 m from it, and returns at 2.6 m/s."""
+    own = k.Own(k.Vector(3.0, 4.0, -92.0), k.Vector(0.0, 0.0, 0.0), 1.5, 0.0, 0.0, FLOOR_D, CEILING_D)
+    follow = _Follow(k.Vector(3.0, 4.0, -12.0), 2.6, 0.0)
+    view = _View(0, np.zeros((0, 1, 1)), own, k.Path(*NORTH.arrays), follow, 600.0, 75.0)
+    place = _place(_Way(k.Vector(5.0, 0.0, 0.0), 0.0, math.inf, 1.0, 1.0), t_s, view)
+    assert place == pytest.approx((5.0 * t_s + 3.0 * left, 4.0 * left, -80.0 - 12.0 * left))
+
+
+def test_only_the_place_relative_to_us_counts() -> None:
+    """One that comes first of more than can be weighed, and far from the origin."""
+    n, e = 20_000.0, -30_000.0
+    there = Trajectory([0.0, 500.0], [(n, e, -80.0), (n, e, -80.0)])
+    crowd = [(9000.0, 100.0 * i, -80.0) for i in range(40)]
+    places = [*crowd, (1500.0, 100.0, -85.0)]
+    here = wish_of(*(other(place, (-40.0, 0.0, 0.0)) for place in places))
+    moved = (other((x + n, y + e, z), (-40.0, 0.0, 0.0)) for x, y, z in places)
+    wish, gives_way = wish_of(*moved, path=there, at=(n, e, -80.0))
+    assert gives_way
+    assert wish == pytest.approx(here[0])
 
 
 def test_two_cost_more_than_one() -> None:

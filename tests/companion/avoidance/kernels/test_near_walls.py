@@ -71,6 +71,16 @@ def test_if_that_is_out_of_reach_it_still_stops(most_mps: float, way: tuple[floa
     assert speed >= 5.0 - CHANGE
 
 
+@pytest.mark.parametrize("most_mps", [4.9, 4.8])
+@pytest.mark.parametrize("along_mps", [-3.0, 3.0])
+def test_what_is_flown_along_the_wall_is_not_braked_off(most_mps: float, along_mps: float) -> None:
+    """It flies at it at a slant and would like to fly on so."""
+    before = k.Vector(4.0, along_mps, 0.0)
+    command = kept(way_to_stop_m(most_mps) * 0.8, before, before)
+    assert 3.7 < command.n < 3.73
+    assert command.e == pytest.approx(along_mps, abs=1e-6)
+
+
 @pytest.mark.parametrize("way", [-1.0, 1.0])
 def test_along_a_wall_it_flies_on(way: float) -> None:
     """The wall bounds only the speed towards it."""

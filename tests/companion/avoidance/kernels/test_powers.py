@@ -70,6 +70,16 @@ def test_likelihoods_that_no_float_can_hold_are_weighed() -> None:
         assert (beside > k.BESIDE) == (log > 0.0)
 
 
+def test_within_two_metres_a_place_counts_as_two_metres_away() -> None:
+    def level(north: float) -> float:
+        means = np.zeros((2, k.HYPOTHESES))
+        k.note_power(np.zeros(k.HYPOTHESES), means, np.array([math.inf, 0.0, 0.0]), 0.0, 0.0, north, 0.0, 0.0)
+        return float(means[0, 0])
+
+    assert level(0.1) == level(1.9) == pytest.approx(SLOPE_DB * math.log10(2.0))
+    assert level(4.0) == pytest.approx(SLOPE_DB * math.log10(4.0))
+
+
 def test_offsets_surround_the_reported_place() -> None:
     away = np.linalg.norm(k.OFFSETS, axis=1)
     assert away[0] == 0.0

@@ -102,6 +102,8 @@ WITHIN = k.Wall(0.0, k.IN_CIRCLE, 10.0, 0.0, 0.0, 0.0, 15.0)
         (WITHIN, (24.9, 0.0), False),
         (WITHIN, (25.1, 0.0), True),
         (WITHIN, (10.0, -15.1), True),
+        (k.Wall(0.0, k.IN_CIRCLE, 10.0, 5.0, 0.0, 0.0, 15.0), (10.0, 19.9), False),
+        (k.Wall(0.0, k.IN_CIRCLE, 10.0, 5.0, 0.0, 0.0, 15.0), (10.0, -10.1), True),
     ],
 )
 def test_ways_from_the_origin_that_cross_a_wall(wall: k.Wall, to: Place, crossed: bool) -> None:

@@ -317,8 +317,9 @@ def test_a_sync_beacon_is_told_apart() -> None:
 def test_another_link_type_is_named_with_those_that_are_read() -> None:
     with pytest.raises(
         ConfigError, match=r"made.pcap: packet 1 has link type 1; .*127 \(802.11 with radiotap\)"
-    ):
+    ) as refused:
         read(pcap(1, [BEACON]))
+    assert all(f" {link_type} (" in str(refused.value) for link_type in SOUND)
 
 
 @given(

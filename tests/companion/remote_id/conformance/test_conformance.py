@@ -162,6 +162,17 @@ def test_an_altered_vector_is_noticed(
     assert all(line.startswith(f"{name}: ") for line in differences)
 
 
+@pytest.mark.parametrize("change", [lambda text: "f1" + text[2:], lambda text: text + "00"])
+def test_a_pack_that_would_be_sent_otherwise_is_noticed(
+    content: Content, change: Callable[[str], str]
+) -> None:
+    """Another version in its header, or a byte more behind it."""
+    altered = one(content, first(content, "message_pack", accepted=True))
+    vector = altered["vectors"]["only"][0]
+    vector["hex"] = change(vector["hex"])
+    assert any(": encoded as" in line for line in check_vectors(altered).differences)
+
+
 @pytest.mark.parametrize(
     ("group", "wanted", "alter", "words"),
     [

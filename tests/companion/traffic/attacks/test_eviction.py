@@ -20,6 +20,7 @@ from companion.traffic.eviction import (
     Ranking,
     Standing,
     Trust,
+    _sector,
     sound_of,
 )
 from companion.traffic.tracks import Traffic
@@ -280,6 +281,14 @@ def test_a_crowd_is_a_group_and_one_alone_is_none():
     assert groups["HONEST"] == ""
     assert groups["F5"] == "wifi f"
     assert groups["F29"] == "together"
+
+
+def test_thirty_six_directions_of_which_level_ones_are_no_others():
+    """A threat keeps its place for its direction: twelve to the side, each level, below and above."""
+    turn = [math.tau * (k + 0.5) / 12 for k in range(12)]
+    found = {h: [_sector((math.cos(a), math.sin(a), h)) for a in turn] for h in (-2.0, -0.5, 0.0, 0.5, 2.0)}
+    assert found[-0.5] == found[0.5] == found[0.0]
+    assert len({*found[-2.0], *found[0.0], *found[2.0]}) == 36
 
 
 # ------------------------------------------------------------ the alert

@@ -199,6 +199,28 @@ def is_behind(sky, made):
     return north < sky.own[0] - 50.0 or location.speed_mps == pytest.approx(6.0)
 
 
+@pytest.mark.parametrize("separation_m", [47.0, None])
+def test_the_rough_place_of_a_frame_is_where_its_track_is(separation_m):
+    """A height above the ellipsoid is none above the sea where the difference is not known."""
+    at = Location(lat_deg=HOME.lat_deg + 2e-3, lon_deg=HOME.lon_deg - 3e-3, alt_geodetic_m=HOME.alt_m + 107.0,
+                  speed_mps=8.0, direction_deg=120.0, vertical_speed_mps=2.5, horizontal_accuracy_m=3.0,
+                  timestamp_s=99.9)  # fmt: skip
+    frame = RemoteIdHeard(transport="wifi", address=ADDRESS, messages=(at,))
+    traffic = Traffic(TrafficConfig(), "OWN")
+    traffic.hear(frame, 100.0, UTC_OFFSET_S, HOME, separation_m)
+    (track,) = traffic.tracks.values()
+    (row,) = choice._places([frame], HOME, separation_m).tolist()
+    assert row[:2] == pytest.approx(track.position_ned_m[:2], rel=0.01)
+    assert row[3:6] == pytest.approx(track.velocity_ned_mps)
+    assert row[5] == -2.5
+    if separation_m is None:
+        assert math.isnan(row[2])
+        assert not track.vertical_known
+    else:
+        assert row[2] == pytest.approx(track.position_ned_m[2], abs=0.2)
+        assert row[2] == pytest.approx(-60.0, abs=0.2)
+
+
 def test_up_to_the_bound_every_frame_is_used():
     sky = Sky(established=False)
     kind = FLOODS["new names and addresses"]
@@ -222,13 +244,13 @@ def test_many_established_fakes_do_not_starve_one_that_sends_less_often():
 
 
 def test_the_urgency_of_many_agrees_with_the_judgement_of_each():
-    """Whoever is a threat for the table is one here, with the same direction."""
+    """Whoever is a threat for the table is one here, with the same direction and class."""
     sky = Sky()
     judgement = sky.traffic.judgement
     frames = [kind(sky, k) for kind in (anew(beside), anew(closing)) for k in range(60)]
     rows = choice._places(frames, HOME, 47.0)
-    loss_s, away_m, sector, _part = judgement.urgency(rows)
-    threats = alike = 0
+    loss_s, away_m, sector, part = judgement.urgency(rows)
+    threats = alike = same_class = 0
     for k, frame in enumerate(frames):
         fresh = Traffic(TrafficConfig(), "OWN")
         fresh.note_own(sky.now_s, sky.own, OWN_MPS)
@@ -239,6 +261,7 @@ def test_the_urgency_of_many_agrees_with_the_judgement_of_each():
             threats += 1
             assert math.isfinite(loss_s[k])
             alike += sector[k] == standing.sector
+            same_class += part[k] == standing.part
         assert away_m[k] == pytest.approx(math.dist(fresh.tracks[track_id].position_ned_m, sky.own), rel=0.01)
     assert 50 <= threats <= 70
-    assert alike >= 0.95 * threats  # the others are on a border
+    assert min(alike, same_class) >= 0.95 * threats  # the others are on a border

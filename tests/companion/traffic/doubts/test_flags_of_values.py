@@ -257,15 +257,23 @@ def test_the_greatest_change_of_altitude(elapsed_s, accuracy_m, possible_m, sign
 
 
 @pytest.mark.parametrize(
-    ("sent_s", "heard_s"),
-    [([10.0, 14.5], [10.1, 14.6]), ([10.0, 14.5], [14.6, 14.7]), ([14.0, 14.5], [14.1, 19.0])],
+    ("sent_s", "heard_s", "possible"),
+    [
+        ([10.0, 14.5], [10.1, 14.6], True),
+        ([10.0, 14.5], [14.6, 14.7], True),
+        ([14.0, 14.5], [14.1, 19.0], True),
+        ([14.0, 14.5], [14.1, 14.6], False),
+    ],
 )
-def test_altitude_changes_with_the_longer_of_what_passed_for_sender_and_receiver(sent_s, heard_s):
-    """300 m are too much for half a second, and possible in 4.4 s."""
+def test_altitude_changes_with_the_longer_of_what_passed_for_sender_and_receiver(sent_s, heard_s, possible):
+    """450 m are too much for half a second, and possible in 4.4 s. With 45 m of error it is one aircraft."""
     listener = Listener()
     for k, (at_s, now_s) in enumerate(zip(sent_s, heard_s, strict=True)):
-        fly(listener, straight(), [at_s], delay_s=now_s - at_s, alt_geodetic_m=500.0 + 300.0 * k)
-    assert Flag.IMPOSSIBLE_VALUES not in listener.traffic.tracks["X"].doubts.evidence
+        change = {"alt_geodetic_m": 500.0 + 450.0 * k, "vertical_accuracy_m": 45.0}
+        fly(listener, straight(), [at_s], delay_s=now_s - at_s, **change)
+    (track,) = listener.traffic.tracks.values()
+    assert track.messages == 2
+    assert (Flag.IMPOSSIBLE_VALUES not in track.doubts.evidence) is possible
 
 
 def test_altitudes_that_leap():

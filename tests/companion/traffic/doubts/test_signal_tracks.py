@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import pytest
 
 from companion.avoidance.law import Neighbour
-from companion.traffic.places import SIGNAL_PLACE
+from companion.traffic.places import SIGNAL_PLACE, _signalled
+from companion.traffic.signal_strength import Suspicion
 from tests.companion.traffic.flights import Listener, basic, location
 
 BEGIN_S, SPEED_MPS, HEIGHT_M = 11.0, 3.0, 20.0
@@ -40,6 +42,14 @@ def test_a_liar_is_avoided_where_it_is_too() -> None:
     assert beside.position_ned_m[:2] == pytest.approx((20.0, 0.0), abs=15.0)
     assert beside.velocity_ned_mps == there.velocity_ned_mps
     assert not beside.proven
+
+
+def test_its_place_is_told_by_how_far_it_is_from_the_reported_one() -> None:
+    reported = Neighbour("X", (100.0, 20.0, -30.0), (3.0, 0.0, 0.0), 0.5, 3.0, proven=True)
+    beside = _signalled(reported, Suspicion(9.0, 9.0, -40.0, 25.0))
+    assert beside == msgspec.structs.replace(
+        reported, track_id="X" + SIGNAL_PLACE, position_ned_m=(60.0, 45.0, -30.0), proven=False
+    )
 
 
 def test_who_says_the_truth_is_avoided_once() -> None:
