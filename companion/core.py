@@ -126,7 +126,7 @@ class Companion:
         return self.waits_for(now_s) if self.state is State.STANDBY else self._late_input.text
 
     def _not_ready(self, now_s: float) -> str | None:
-        """Like `waits_for`, but ignores late messages, which only postpone the takeover."""
+        """Like `waits_for`, but ignores late messages, which only postpone taking control."""
         return self.law_fault or self._readiness.waits_for(now_s, self._control.left_in)
 
     def step(self, now_s: float, events: Sequence[Event]) -> list[Command]:

@@ -61,7 +61,7 @@ class Decider:
         vehicle."""
         self._decided_s = self._logged_s = self._said_wall_s = -math.inf
         self._told_late_s: float | None = None
-        """Delay of the path (s) at its last report or at the takeover; None while we do not control the
+        """Delay of the path (s) at its last report, or when we took control; None while we do not control the
         vehicle."""
 
     def configure(self, config: Config) -> None:
@@ -117,8 +117,8 @@ class Decider:
         return self._alert(now_s, None)
 
     def let_go(self) -> None:
-        """Note that we do not control the vehicle: path delays count from the next takeover, and nothing
-        contains it."""
+        """Note that we do not control the vehicle: path delays count from the next time that we take control,
+        and nothing contains it."""
         self._told_late_s = None
         self._containment.let_go()
 

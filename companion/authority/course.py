@@ -99,8 +99,8 @@ class Course:
         return min(leg), max(leg)
 
     def _height_m(self, path_time_s: float) -> float:
-        """Height of the path at a time (m above home); before its start and after its end, that of the
-        end."""
+        """Height of the path at a time (m above home): that of its first point before it starts, and of its
+        last point after it ends."""
         times, heights = self._profile
         after = bisect_right(times, path_time_s)
         if after == 0 or after == len(times):

@@ -94,8 +94,8 @@ class LateInput:
         self._rate.read(event)
 
     def step(self, now_s: float, behind: InputBehind | None) -> list[Command]:
-        """Take in whether the input of this step is late. Returns messages to the pilot, if the companion may
-        fly the vehicle."""
+        """Take in whether the input of this step is late. Returns messages to the pilot, which the core sends
+        only if the companion may fly the vehicle."""
         if behind is None or not behind.why:
             told, self._since_s, self._told_s = self._told_s, None, None
             self.why, self.text, self._slow_told = None, None, False

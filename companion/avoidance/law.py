@@ -67,8 +67,8 @@ _by_id = attrgetter("track_id")
 
 
 ASIDE = "\N{PRIME}"
-"""Separator in a `Neighbour.track_id` before the number of an alternative place of the track. No track's own
-id contains it, because ids from Remote ID are Latin-1."""
+"""Separator in a `Neighbour.track_id` before the number (or `traffic.places.SIGNAL_PLACE`) of an alternative
+place of the track. No track's own id contains it, because ids from Remote ID are Latin-1."""
 
 
 class Neighbour(msgspec.Struct, frozen=True, gc=False):
@@ -116,7 +116,8 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     yields: bool = False
     """True: it is avoided only as far as all others allow, because it may be forged to press on us."""
     presses: bool = False
-    """True: it yields because it has long been inside its volume, or follows us."""
+    """True: it yields, and has been inside its volume or follows us. The law of a plug-in is not given such a
+    neighbour while another one is near."""
     relative: bool = False
     """True: its position was measured from ours. Then the error of our position plays no part, and `sigma_m`
     is that of the measurement."""

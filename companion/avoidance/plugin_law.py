@@ -2,8 +2,8 @@
 
 The plug-in is untrusted. The velocity that it returns becomes the wish in a decision of our own kernel
 without neighbours, so that the command obeys the same limits and the same planes of the fence as that of
-every other law. An exception, or anything but three finite numbers, ends its use; `PluginLaw.fault` reports
-that.
+every other law. An exception, or anything but three numbers of at most `_MOST_MPS`, ends its use;
+`PluginLaw.fault` reports that to the authority.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ def _now(other: Neighbour) -> Vec3:
 
 
 def _velocity(answer: Vec3) -> Vec3:
-    """Convert the answer of a plug-in to a velocity of three finite numbers.
+    """Convert the answer of a plug-in to a velocity of three numbers, each of at most `_MOST_MPS`.
 
     Raises:
         Exception: the answer is anything else.

@@ -8,8 +8,8 @@ after the core, so that the record of a flight holds no signatures and a replay 
   (section 6.2). It holds the Location because a beacon stays on the air until the next one replaces it.
 
 A Manifest is sent every `period_s` (section 6.3: at least every 5 s), a Link every `LINK_PERIOD_S`. Every
-second Link is that of our own DET (required: once a minute). The Links of its parents take turns in between
-(required: every 5 minutes).
+second Link is that of our own DET (required: at least once a minute). The Links of its parents take turns in
+between (required: at least every 5 minutes).
 """
 
 from __future__ import annotations

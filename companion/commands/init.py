@@ -120,8 +120,8 @@ class Choices:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `companion init`, which calls `run`."""
     parser.description = (
-        "Write a commented configuration. Choices without an option are asked for in a terminal; elsewhere "
-        "they take their defaults."
+        "Write a commented configuration. Choices without an option are asked for in a terminal; without a "
+        "terminal they take their defaults."
     )
     parser.epilog, parser.formatter_class = _EPILOG, argparse.RawDescriptionHelpFormatter
     firmware = parser.add_mutually_exclusive_group()
@@ -132,7 +132,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--uas-id", metavar="ID", help="the aircraft's serial number by CTA-2063-A")
     regions = names("regions", ".toml")
     parser.add_argument("--region", choices=regions, help="region of the Remote ID law (default: none)")
-    parser.add_argument("--use", choices=("watch", "guard"), help="use of the companion (default: watch)")
+    parser.add_argument("--use", choices=("watch", "guard"),
+                        help="watch: never command; guard: avoid conflicts (default: watch)")  # fmt: skip
     kinds = ", ".join(f"{name}={kind.example}".rstrip("=") for name, kind in _KINDS.items())
     parser.add_argument("--radio", action="append", metavar="KIND=WHERE",
                         help=f"a radio: {kinds}; may be given several times (default: null)")  # fmt: skip
@@ -281,7 +282,7 @@ def _quoted(text: str) -> str:
 
 _TEMPLATE: Final = """\
 # Written by `companion init`. Check it with: companion check --config {path}
-# A key after "#" shows its default or an example. This file explains every key:
+# A key after "#" shows its default or an example. Every key is explained in
 # {every_key}
 
 [identity]
@@ -292,7 +293,7 @@ _TEMPLATE: Final = """\
 {wiring}
 {link}
 # system_id = 0                     # vehicle to use; 0: the only one on the link, refused if there are two
-# signing_key = "signing.key"       # key file of MAVLink 2 signing (chmod 600); none: no signing
+# signing_key = "signing.key"       # MAVLink 2 signing key (chmod 600); none: nothing is signed or checked
 
 [flight]
 {use}
@@ -308,7 +309,7 @@ max_descent_mps = 2.0
 # fence = "fence.toml"              # or "vehicle": the geofence that the vehicle holds
 
 [avoidance]
-conflict_radius_m = 5.0             # of each aircraft; two keep at least the sum of both apart
+conflict_radius_m = 5.0             # radius of one aircraft; the separation is at least twice this
 # crewed_horizontal_m = 610.0       # horizontal separation from crewed traffic (ADS-B), or alternatively
 # crewed_vertical_m = 77.0          # vertical separation; both contain well clear of ASTM F3442
 
@@ -316,7 +317,7 @@ conflict_radius_m = 5.0             # of each aircraft; two keep at least the su
 {region}
 {transports}
 rate = 2                            # Location messages a second on each transport
-# operator_id = "FIN87astrdge12k8-xyz"  # EU: the full number; its three secret characters are never sent
+# operator_id = "FIN87astrdge12k8-xyz"  # EU: full number; the three secret characters are checked, never sent
 
 [atmc]
 # policy = "rule"                   # what chooses transports and rates in flight: "rule", "fixed", "atmc" or

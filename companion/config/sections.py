@@ -161,7 +161,8 @@ class ContainmentConfig(_Section, frozen=True):
     above_m: Annotated[float, Meta(ge=10, le=10_000)] = 30.0
     """Greatest distance above the present leg. The ceiling applies in any case."""
     track_s: Annotated[float, Meta(ge=10, le=86_400)] = 300.0
-    """How long one track may be in conflict with the aircraft while the companion flies it."""
+    """How long one track may be in conflict with the aircraft, or bound its velocity, while the companion
+    flies it."""
     inside_s: Annotated[float, Meta(ge=10, le=86_400)] = 90.0
     """Part of `track_s` for which the aircraft may be inside the track's volume (separation and margins)."""
     group_s: Annotated[float, Meta(ge=10, le=86_400)] = 450.0
@@ -171,8 +172,9 @@ class ContainmentConfig(_Section, frozen=True):
     refill_s: Annotated[float, Meta(ge=60, le=86_400)] = 3600.0
     """Time in which a spent allowance refills completely."""
     then: Literal["resume", "hold"] = "resume"
-    """What happens when `total_s` is spent. resume: fly on without avoiding these tracks, and warn. hold: ask
-    the vehicle to hold, and leave it to the pilot."""
+    """What happens when `total_s` is spent. resume: fly on without avoiding these tracks, and warn; ask the
+    vehicle to hold only where a track that stands still is in the way. hold: ask the vehicle to hold in any
+    conflict with them, and leave it to the pilot."""
     crewed_side_m: Annotated[float, Meta(ge=30, le=100_000)] | None = None
     """`side_m` for crewed traffic (ADS-B), which may also press the aircraft down to the floor. None:
     1.25 times avoidance.crewed_horizontal_m, at least `side_m`."""

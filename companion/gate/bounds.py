@@ -36,9 +36,10 @@ _SLOW = 0.05
 are a thousand times better, but a simulator on a busy computer is not."""
 _MIXED_S, _LONGEST_MIXED_S = 0.25, 10.0
 """Autopilots stamp some messages when they are measured and others when they are sent. On a link that keeps
-their order, a message is at most `_MIXED_S` older than one that came before it. A larger step back shows that
-the link mixes old and new messages. Modes are then not trusted for as long as the old message was late, but
-for `_LONGEST_MIXED_S` at most, because a restart of the vehicle's clock looks like a long delay."""
+their order, a message is at most `_MIXED_S` older than one that came before it. A larger step back by a
+late message shows that the link mixes old and new messages. Modes are then not trusted for as long as the old
+message was late, but for `_LONGEST_MIXED_S` at most, because a restart of the vehicle's clock looks like a
+long delay."""
 _RESTART_S = 1.0
 """A clock counts as restarted if it goes back by more than this, either after a silence of more than this or
 so far that its messages seem late by more than `_LONGEST_MIXED_S`."""

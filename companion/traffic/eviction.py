@@ -7,9 +7,10 @@ An attacker who fills the table must displace only forged tracks, not the aircra
   those that are not proven. Among equals, one of the most crowded allowance goes (tracks that sound alike,
   that is, with the same `sound_of`, share an allowance), and within it the farthest.
 - If the table holds only threats, and more than half of them sound alike, one of those goes. Otherwise one
-  from the most crowded direction goes; within it, one from the most crowded class of time and range; and
-  within that, the least trusted, the latest and the farthest. A threat that is alone in its direction, or
-  alone in its class in a crowded direction, is therefore kept, whatever the others sound like.
+  from the most crowded direction goes; within it, one from the most crowded class of time and range; within
+  that, one of the most crowded allowance: the least trusted, among equals the one whose separation would be
+  lost last, and among those the farthest. A threat that is alone in its direction, or alone in its class in a
+  crowded direction, is therefore kept, whatever the others sound like.
 """
 
 from __future__ import annotations

@@ -25,7 +25,8 @@ from companion.traffic.track import Track
 SIGNAL_PLACE: Final = f"{ASIDE}signal"
 """Suffix of a track's id for the place that its signal strength points to."""
 _MOST_ASIDE: Final = 50
-"""Largest number of alternative places, in addition to the tracks, that the law is given."""
+"""Largest number of places of contradicting messages that the law is given. Tracks, and places that a signal
+strength points to, are not counted."""
 _CROWD: Final = 5
 """Tracks that sound alike are a group from this many on."""
 

@@ -46,7 +46,7 @@ class AirSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     transports: Annotated[tuple[TransportName, ...], Meta(min_length=1, max_length=4)] = ("wifi",)
     """Transports on which every aircraft sends at the same time.
 
-    If [atmc] is given, they are used until its first choice.
+    If [atmc] has a `policy`, they are used until its first choice.
     """
     rate: Annotated[int, Meta(ge=1, le=10)] = 1
     """Locations per second on each transport."""

@@ -1,10 +1,11 @@
 """ADSB_VEHICLE messages of the mock vehicle: crewed aircraft that its receiver hears, and reports of others.
 
-Reports of other components of the vehicle are sent as the autopilot's own (`Traffic.take`). Every flight is
-straight, and the receiver reports it once a second. The autopilots' behaviour was read in the firmwares'
-sources. ArduPilot keeps a list of aircraft. It sends one aircraft per interval of the stream and restarts the
-list once a second. For 5 s it repeats the last report of an aircraft that is no longer heard, with `tslc`
-unchanged. PX4 forwards each report once, with only the first six flags.
+Reports of other components are sent as the autopilot's own (`Traffic.receive`): PX4 takes them always,
+ArduPilot only with a receiver (ADSB_TYPE is not 0). Every flight is straight, and the receiver reports it
+once a second. The autopilots' behaviour was read in the firmwares' sources. ArduPilot keeps a list of
+aircraft. It sends one aircraft per interval of the stream and restarts the list once a second. For 5 s it
+repeats the last report of an aircraft that is no longer heard, with `tslc` unchanged. PX4 forwards each
+report once, with only the first six flags.
 """
 
 from __future__ import annotations

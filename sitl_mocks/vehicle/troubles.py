@@ -38,8 +38,8 @@ _OVERRIDES_OWN, _OVERRIDES_EXTERNAL = 1, 2
 _ALL_FENCES = _MAX_HEIGHT | _CIRCLE | _POLYGON
 Answers = Literal["right", "disobeyed", "unanswered", "denied"]
 """How the vehicle handles mode requests of a companion computer, which has the vehicle's system id.
-"disobeyed": acknowledged but not carried out. "unanswered": carried out but not acknowledged. "denied":
-carried out but answered with a refusal.
+"right": carried out and acknowledged. "disobeyed": acknowledged but not carried out. "unanswered": carried
+out but not acknowledged. "denied": carried out but answered with a refusal.
 """
 _ANSWERS: tuple[Answers, ...] = ("right", "disobeyed", "unanswered", "denied")
 

@@ -2,8 +2,9 @@
 
 Remote ID and ADS-B are unsigned: a transmitter can invent aircraft that stay in conflict with this one for
 as long as it likes. So every track whose identity no signature has verified is charged for the time in which
-it is in conflict with the aircraft while the companion flies it. A track that has spent its allowance is not
-avoided any more; others are. `containment` bounds how far such traffic may move the aircraft.
+it is in conflict with the aircraft, or bounds its velocity, while the companion flies it. A track that has
+spent its allowance is not avoided any more; others are. `containment` bounds how far such traffic may move
+the aircraft.
 
 Each of these rules closes a way around the others:
 
@@ -15,16 +16,18 @@ Each of these rules closes a way around the others:
   and the law would divide the violation between them. A track yields if it was first heard inside its volume,
   has been there for `remembered.PRESSES_S`, or follows the aircraft (`following`). It also yields if it
   appears near the aircraft soon after another one did, because both may be one transmitter that takes new
-  names, or if it belongs to a burst of new tracks and is silent.
+  names, or if it belongs to a burst of new tracks and is silent. Crewed traffic and tracks that stand still
+  never yield.
 - Tracks of one group have `group_s` together. Once that is spent, each of them has only a quarter of
   `track_s`, so a fake cannot spend the whole allowance of an honest aircraft by resembling it.
 - All tracks together have `total_s` for the time in which the companion flies the aircraft because of them,
-  the way back included. The last quarter is kept for tracks that were heard before it began and had used at
-  most a quarter of `track_s`, so new identities cannot spend it.
+  the way back included. With `then = "resume"`, the last quarter is kept for tracks that were heard before it
+  began and had used at most a quarter of `track_s`, so new identities cannot spend it.
 - A track that stands still may block, but it cannot drive the aircraft anywhere. It is never flown into:
   where the total is spent and such a track is in the way, the vehicle is asked to hold. A track that has
   moved while it pressed the aircraft does not count as standing.
-- Crewed traffic has a total of its own, `crewed_total_s`, and no allowance for each track.
+- Crewed traffic has a total of its own, `crewed_total_s`, and no allowance for each track: a helicopter is
+  not ignored because it stayed for `track_s`.
 - Proven tracks are never charged, and always avoided.
 """
 

@@ -23,8 +23,8 @@ from companion.laws import kind_of
 from companion.ownship import Ownship
 
 _BEYOND_M = 10.0
-"""An aircraft that is taken farther outside of a volume than this was not pushed there by traffic. One that
-is less far outside was pushed to the border, and must not gain a larger volume by that."""
+"""An aircraft that is taken farther outside of a volume than this counts as flown there by its pilot. One
+that is less far outside counts as pushed there by traffic, and must not gain a larger volume by that."""
 _CORNERS = 12
 """Corners of the area around a single place."""
 _MOST_PLACES = 32

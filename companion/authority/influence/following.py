@@ -22,10 +22,12 @@ from companion.avoidance.law import Neighbour
 from companion.geometry import Vec3
 
 PUSHED_M = 10.0
-"""A track follows only if we were pushed this far, and it is this far from where it was predicted."""
+"""A track follows only if we were pushed this far, and it either moved along with us by half of that or is
+this far from where its reported velocities lead. A track that continues another one's conflict must appear
+within this distance of the other's place beside us."""
 _HEIR_S = 15.0
-"""A conflict is remembered for this long after it ended, so that a track with another name can continue
-it."""
+"""A conflict is remembered for this long after its track was last in conflict with us, so that a track with
+another name can continue it."""
 _LASTS_S = 1.0
 """Time for which a track must have followed; one message is no evidence."""
 _MOST = 32
@@ -55,11 +57,11 @@ class _Conflict:
     reported: Vec3
     """Where the track would be by the velocities that it has reported since."""
     beside: Vec3
-    """Place of the track relative to us when it was last heard. It is fixed once the track follows. A new
-    track that appears there continues this one, so a follower cannot pass its record to an aircraft by
-    moving."""
+    """Place of the track relative to us when it was last heard. A track with another name that appears there
+    continues this conflict. The place is fixed once the track follows, so that a follower cannot pass its
+    record to an aircraft by moving to it."""
     at_s: float
-    """Time of the last conflict."""
+    """Time at which the track was last in conflict with us."""
     since_s: float
     """Time since which it has followed."""
     named_s: float

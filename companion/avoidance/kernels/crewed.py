@@ -35,7 +35,7 @@ MOST = 32
 """Largest number of crewed aircraft that are considered: those that could lose well clear soonest. A decision
 about 200 would take too long."""
 CLIMB_MOST_MPS = 15.0
-"""Assumed vertical closing speed, in addition to a crewed aircraft's present vertical speed."""
+"""Greatest assumed vertical closing speed, in addition to a crewed aircraft's present vertical speed."""
 HEADINGS = 12
 """Directions, one of which is north; in each, the greatest speed and half of it are tried."""
 NEAR_RADIUS_M, NEAR_HEIGHT_M = 152.4, 30.48
@@ -43,8 +43,8 @@ NEAR_RADIUS_M, NEAR_HEIGHT_M = 152.4, 30.48
 NEAR_WORTH = 10.0
 """Risk that a near mid-air collision adds, in losses of well clear."""
 DEPTH_WORTH = 20.0
-"""Risk that the centre of that volume adds to the risk at its edge, in losses of well clear. It makes
-distance count where the volume can no longer be avoided."""
+"""Risk that the centre of the volume of a near mid-air collision adds to the risk at its edge, in losses of
+well clear. It makes distance count where the volume can no longer be avoided."""
 STAY_WORTH = 0.3
 """Risk of being inside a volume for the whole horizon, as a share of the risk of entering it. It makes an
 aircraft that is inside leave."""
@@ -91,7 +91,7 @@ class _Way(NamedTuple):
     answer_s: float
     """Time for which the present velocity lasts before the aircraft flies the candidate."""
     free_m: float
-    """Distance to the first wall."""
+    """Distance until it stops before a wall (`_free`); infinite along the path and standing still."""
     follows: float
     """1: its horizontal part follows the path."""
     returns: float
@@ -305,7 +305,8 @@ def _risk(ahead: Floats, way: _Way, view: _View, enough: float) -> float:
 
 @compiled
 def _free(fence: Floats, own: Own, n: float, e: float) -> float:
-    """Distance (m) to the first wall in a direction, minus the margin kept from fences."""
+    """Distance (m) to the first wall in a direction, minus the margin kept from fences and twice the error of
+    our position."""
     size = math.sqrt(n * n + e * e)
     if size == 0.0:
         return math.inf
@@ -401,7 +402,7 @@ def crewed_wish(
         neighbours, count: table of neighbours, and how many of its rows count.
         wanted: the velocity along the path and back to it, m/s.
         path, path_s: the timed path, and the time on it.
-        fence: table of walls. Candidates are assumed to stop before them.
+        fence: table of walls. Candidates are assumed to stop before them, except along the path.
         command: the last command, m/s.
         ahead: (at least count, STEPS, AHEAD_COLUMNS): predictions; written. The last entry of the first row
             of an aircraft is the risk of flying on.

@@ -44,10 +44,10 @@ SILENT_GAPS = 2.2
 """A track may have stopped if nothing was received for this many of its longest recent gaps (at least 1 s).
 With one message a second, delays that differ by a second already make gaps of 2 s."""
 KEPT_S = 15.0
-"""A track is used for this long after its message, whatever its gaps."""
+"""A track is used for at least this long after its message by default, whatever its gaps (`kept_for`)."""
 KEPT_GAPS, KEPT_MORE = 3.0, 2.0
-"""A track is used for KEPT_GAPS times its longest recent gap, but for at most KEPT_MORE times the least time.
-Where four of five messages are lost, gaps of 15 s are common, and aircraft that forget each other meet."""
+"""A track is used for KEPT_GAPS times its longest recent gap, at most KEPT_MORE times that least time. Where
+four of five messages are lost, gaps of 15 s are common, and aircraft that forget each other meet."""
 GAP_MEMORY_S = 60.0
 """Time constant with which the longest gap of a track fades."""
 PASSING_M = 5.0

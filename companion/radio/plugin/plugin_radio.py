@@ -152,10 +152,10 @@ def open_radio(section: PluginRadio, context: RadioContext) -> GuardedRadio:
 
 
 def _checked(event: Any) -> RemoteIdHeard:
-    """The heard frames, rebuilt so that they hold only what can be on the air.
+    """A heard frame, rebuilt so that it holds only what can be on the air.
 
     Raises:
-        Exception: it breaks the contract.
+        Exception: the event breaks the contract of `RemoteIdHeard`.
     """
     if not isinstance(event, RemoteIdHeard) or not 0 < len(event.messages) <= MOST_MESSAGES:
         raise ValueError("not one frame with messages")

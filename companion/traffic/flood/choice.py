@@ -1,10 +1,11 @@
 """Chooses the frames that a crowded step uses, so that a flood costs a bounded time and hides no aircraft.
 
-All frames of a step are used up to `ALL`. In a step with more:
+A step with at most `ALL` frames uses all of them. In a step with more:
 
 - Frames of addresses that feed a track come first, up to `KNOWN`, beginning with the address whose tracks
-  have waited longest. If an address sends more than `OF_ADDRESS` frames, those that continue its tracks best
-  are taken. An attacker who copies the address can therefore not use up a quota of it.
+  have waited longest. If an address sends more than `OF_ADDRESS` frames, the one that continues each of its
+  tracks best is taken, and the rest are judged like frames of unknown addresses. An attacker who copies the
+  address can therefore not use up a quota of it.
 - Of all other frames with a position, `STRANGE` are taken: threats first, by the same rule as in a full table
   (`eviction`). One from each direction and class of time and range comes before the second of any, so a flood
   leaves out no threat that is alone in its direction.

@@ -21,7 +21,7 @@ AGREED_S: Final = 2.0
 _SIGMAS: Final = 3.0
 _ROOM_M, _HIGH_M, _ROOM_MPS = 2.0, 20.0, 2.5
 _GOOD_MPS: Final = 2.5
-"""A velocity with a larger error is not accepted as agreement."""
+"""A sensed object whose velocity has a larger error agrees with no track."""
 _OLDEST_S: Final = 3.0
 
 Key = tuple[bool, str]

@@ -28,7 +28,8 @@ from companion.traffic.sensed.seen import Seen, View, bearing_sigma_rad
 MOST: Final = 24
 """Largest number of objects that are tracked."""
 CONFIRMED: Final = 2
-"""Number of measurements after which an object is avoided. A single one may be a bird, rain or noise."""
+"""Number of measurements after which an object is avoided. A single one may be a bird, rain or noise. An
+object that the sensor tracks itself is avoided at once."""
 EXPIRE_S, STANDING_EXPIRE_S, UNCONFIRMED_S = 2.0, 3.0, 0.6
 """How long an object is kept after its last measurement if it moves, if it stands, and if it was measured
 once."""
@@ -47,15 +48,16 @@ _GATE: Final = 3.0
 _ROOM_M: Final = 1.5
 _HIGH_M: Final = 8.0
 _FAR_M: Final = 60.0
-"""A place farther than this from where an object is expected, on either axis, is never that object."""
+"""A place farther than this from where an object is expected, along or across the line of sight, is never
+that object."""
 _HEIGHT_SHARE: Final = 0.05
 """Error of a height as a share of the distance."""
 _SIGNIFICANT2, _INSIGNIFICANT2 = 9.0, 4.0
 """Squares of the ratio of a velocity to its error, above which a standing object moves, and below which a
 moving one stands."""
 _PASSED: Final = 5
-"""An object is removed after this many consecutive scans that see past it. Thin objects are sometimes
-missed."""
+"""An object that stands is removed after this many consecutive scans that see past it. Thin objects are
+sometimes missed."""
 
 
 class _Axis(NamedTuple):

@@ -66,8 +66,8 @@ class SensedCounts:
     points: int = 0
     aircraft: int = 0
     refused: int = 0
-    """Measurements of these that were not used, because attitude or position was unknown, or the vehicle
-    leaned or turned too much."""
+    """Measurements of these that were not used, because attitude or position was unknown or too old, the
+    vehicle leaned or turned too much, or the input was late."""
 
 
 class SensedTraffic:
