@@ -35,7 +35,8 @@ SETTLE_S = 3.0
 PATIENCE_S = 120.0
 PRIORITY = 20
 MOST_MB, MOST_CORE, MOST_READY_S = 150.0, 10.0, 5.0
-"""Targets of the flight on an otherwise idle computer: resident memory, share of one core, start-up time."""
+"""Targets of the flight on an otherwise idle computer: resident memory (10^6 bytes), percent of one core,
+start-up time."""
 
 _PATH = f"""altitude = "home"
 waypoint = [

@@ -40,7 +40,8 @@ REFERENCE_US = {
     "dense": {10: 1.3, 20: 1.9, 50: 7.0, 100: 9.6},
 }
 REFERENCE_STEP_MS = {1_000: 3.5, 10_000: 55.0}
-"""Published least time of a step, by number of aircraft."""
+"""Least time (ms) of a step with RVO2-3D, by number of aircraft; like `REFERENCE_US`, quoted from another
+machine."""
 ROOM_M3 = 1_000.0
 """Volume per aircraft of a crowd: so small that nearly all have more neighbours in reach than are
 considered."""

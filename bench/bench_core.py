@@ -76,7 +76,7 @@ def own_events(now_s: float, *, slow: bool) -> list[Event]:
 
 
 def heard(number: int, now_s: float, neighbours: int = NEIGHBOURS) -> RemoteIdHeard:
-    """A neighbour on a ring of 150 m around the aircraft that flies towards the middle of the ring."""
+    """A neighbour that stays on a ring of 150 m around the aircraft, and reports a course to its middle."""
     angle = 2.0 * math.pi * number / neighbours
     lat, lon, _ = FRAME.to_geodetic(3.0 * now_s + 150.0 * math.cos(angle), 150.0 * math.sin(angle), 0.0)
     return RemoteIdHeard(

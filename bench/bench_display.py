@@ -32,8 +32,8 @@ SECONDS = 12.0
 MANY = 16
 """Number of browsers at once; the display serves no more at a time."""
 MOST_CORE = 5.0
-"""Target of the CPU time that the display and one browser add, in the flight and the display process
-together."""
+"""Target of the CPU time, in percent of one core, that the display and one browser add in the flight and the
+display process together."""
 _PERIOD_S = 1.0
 """The page asks for the state this long after the last answer."""
 _PATIENCE_S = 30.0

@@ -1,4 +1,4 @@
-"""CPU time of the gate in one step of the loop: it takes in three events and releases one setpoint.
+"""CPU time of the gate in one step of the loop: three events, an empty input, and the release of a setpoint.
 
 The fence has eight edges. It is measured far from the fence, near it, and so near that every edge is checked
 in every step. The last column is the part of the release, in which the gate parses a frame and judges it.

@@ -1,4 +1,4 @@
-"""The package name under which the project is installed: its version and its public rooms.
+"""The package name under which the project is installed: its version and its public rooms (packages).
 
 `dmuca.remote_id` is `companion.remote_id`, and so on for each name in `ROOMS`; docs/library.md describes
 them. A room is imported on first use, so `import dmuca` alone is fast and needs no extra. The form

@@ -30,8 +30,8 @@ _OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False, "cache": True
 def compiled(**options: Any) -> Callable[[Function], Function]:
     """numba's `njit` with a separate cache folder for each state of the law and the world.
 
-    As in the kernels, numba's memory runtime is off unless the option `_nrt` enables it. Functions that
-    allocate then do not compile, and no time is spent on counting references to arrays.
+    As in the kernels, numba's memory runtime is off, unless the option `_nrt` enables it. While it is off,
+    functions that allocate do not compile, and no time is spent on counting references to arrays.
 
     numba's own cache checks only the file of the function that is called, but the code compiled here also
     contains functions and constants of other files.

@@ -110,7 +110,7 @@ Decide = Callable[..., k.Decision]
 `mind.neighbours`, the aircraft's `k.Own`, `k.Path` and fence, the table of settings of all aircraft, the
 aircraft's `k.Settings`, and the workspace."""
 Loop = Callable[..., None]
-"""A compiled loop, as `loop_of` makes it for a law."""
+"""A compiled function with the arguments of `loop_of` except the first one, which is its law."""
 OWN_NOTES = 6
 
 

@@ -22,10 +22,10 @@ from ground_tools.campaign.world import Conditions
 # Kinds of aircraft. AVOIDS flies the avoidance law; no other kind avoids. BLIND sends and flies its path;
 # TURNING also turns and climbs at random; FROZEN turns likewise, but always sends its first velocity. SILENT
 # is received only at short range. LIAR sends a wrong position. CREWED is crewed traffic that is received by
-# ADS-B with a geometric altitude; BAROMETRIC is the same with a pressure altitude, which may be off by 300 m.
-# TWIN flies its path and sends with the identity of the second aircraft, CLONE also from its radio address;
-# OWN_TWIN and OWN_CLONE do so with those of the aircraft that receives the message. These last four are flown
-# by `twins.fly`.
+# ADS-B with a geometric altitude; BAROMETRIC is the same with a pressure altitude, which separates
+# aircraft only if it differs by 300 m or more. TWIN flies its path and sends with the identity of the second
+# aircraft, CLONE also from its radio address; OWN_TWIN and OWN_CLONE do so with those of the aircraft that
+# receives the message. These last four are flown by `twins.fly`.
 (
     AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN, CREWED, BAROMETRIC, TWIN, CLONE, OWN_TWIN, OWN_CLONE,
 ) = range(12)  # fmt: skip

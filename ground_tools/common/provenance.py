@@ -39,7 +39,8 @@ def now(command: str, roots: Iterable[str], data: Iterable[str], packages: Itera
     Args:
         command: the command that makes it.
         roots: names of the modules that compute it.
-        data: files of the checkout on which the content depends, by their paths.
+        data: files that come with the software and on which the content depends, by their paths in the
+            checkout.
         packages: names of the packages that compute.
     """
     return Provenance(

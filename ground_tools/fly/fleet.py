@@ -267,7 +267,8 @@ class Fleet:
     def _is_finished(self, vehicle: Vehicle) -> bool:
         items = self._missions[self.vehicles.index(vehicle)]
         current = vehicle.last("MISSION_CURRENT")
-        # The mission was already on the vehicle. PX4's total counts all items, ArduPilot's leaves out home.
+        # Without items of ours, the mission was already on the vehicle. PX4's total counts all its items,
+        # ArduPilot's leaves out home.
         last_seq = (len(items) or current.get("total", 0)) - 1 + vehicle.first_seq
         reached = vehicle.last("MISSION_ITEM_REACHED").get("seq")
         if finished(current.get("mission_state", _UNKNOWN), reached, last_seq):

@@ -1,6 +1,7 @@
-"""`ground-tools inspect RUN...`: shows runs as Rerun recordings, an HTML page, or figures (text or JSON). A
-run is a run folder, an event record, or the log of any vehicle: a telemetry log (.tlog), or an onboard log of
-ArduPilot (.bin) or PX4 (.ulg).
+"""`ground-tools inspect RUN...`: shows runs as Rerun recordings, an HTML page, or figures (text or JSON).
+
+A run is a run folder, an event record, or the log of any vehicle: a telemetry log (.tlog), or an onboard log
+of ArduPilot (.bin) or PX4 (.ulg).
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ _ALONE_M: Final = 1000.0
 
 
 Flight = tuple[Cell, int, Attack]
-"""Seed of an encounter, and the attack that is flown in it."""
+"""Cell and seed of an encounter, and the attack that is flown in it."""
 
 
 class Flown(msgspec.Struct, frozen=True):

@@ -59,7 +59,7 @@ def _within(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(b * b - a * c)
         low, high = (-b - root) / a, (-b + root) / a
-    still = a == 0.0  # a is 0, then b is 0 too
+    still = a == 0.0  # no relative motion: b is 0 too
     low = np.where(still, np.where(c < 0.0, -np.inf, np.inf), low)
     high = np.where(still, np.where(c < 0.0, np.inf, -np.inf), high)
     nowhere = np.isnan(low)

@@ -1,8 +1,8 @@
 """Finds the parameters of each peer: every candidate of its grid flies the same encounters.
 
-Every law has the same budget: `laws.CANDIDATES` candidates, in the encounters of ENCOUNTERS, with the same
-seeds, which no table uses. The best candidate loses separation in the fewest flights. Ties are decided by the
-mean of the encounters' median deviations.
+Every law that is searched has the same budget: `laws.CANDIDATES` candidates, in the encounters of ENCOUNTERS,
+with the same seeds, which no table uses. The best candidate loses separation in the fewest flights. Ties are
+decided by the least mean of the encounters' median deviations.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from ground_tools.campaign.peers.orca import Orca
 
 Parameters = Orca | Mvp | FlyAway
 CANDIDATES: Final = 24
-"""Budget of a search: number of candidates for each law."""
+"""Budget of a search: number of candidates for each law that has a `Peer.grid`."""
 _PERIOD_S: Final = 0.2
 """Time between two decisions, which is the time step of RVO2-3D in the campaign."""
 _LEAST: Final = 1e-3

@@ -1,4 +1,4 @@
-"""A reference with perfect knowledge: aircraft that know everybody's true present and future, without error.
+"""A reference with perfect knowledge: the true present and future of everybody, without delay or error.
 
 The paths of all avoiding aircraft are planned together before the flight. The plan minimises the sum of
 squared distances from the timed paths, over all motions that keep everybody apart within the limits of speed,

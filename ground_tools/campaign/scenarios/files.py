@@ -195,7 +195,8 @@ def _flown(plans: Sequence[bluesky.Plan]) -> list[_Path]:
     """The paths of plans. An aircraft that flies on after its last corner does so until the end of all
     paths."""
     last_s = max(plan.corners[-1][0] for plan in plans)
-    # In a larger file, aircraft fly only until their last corner.
+    # In a larger file, meetings after the last corners are not looked for, and all paths end at the latest of
+    # these corners.
     few = plans if len(plans) <= MOST_AIRCRAFT else []
     meet_s = max((_passing_s(a, b) for i, a in enumerate(few) for b in few[:i]), default=0.0)
     first_s = max(plan.corners[0][0] for plan in plans)

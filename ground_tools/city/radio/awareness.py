@@ -9,7 +9,7 @@ from ground_tools.city.loop import State
 from ground_tools.city.tables import NOBODY
 
 WITHIN_M = 500.0
-"""Distance within which the age counts: two aircraft that approach head-on meet after 20 s."""
+"""Distance within which the age counts: two aircraft head-on, at 12.5 m/s each, meet after 20 s."""
 OLD_S = 3.0
 # Entries of the sums: pairs with a track, their ages (s), those older than OLD_S, pairs without a track.
 A_HEARD, A_AGE, A_OLD, A_UNHEARD, AGES = range(5)

@@ -168,7 +168,7 @@ class ByPolicy:
         most: capacity of each table of tracks.
 
     Raises:
-        ConfigError: the file cannot be used, or its policy does not take any number of neighbours.
+        ConfigError: the file cannot be used, or its policy is made for a fixed number of neighbours.
     """
 
     def __init__(self, data: bytes, name: str, region: Region, slots: int, most: int) -> None:

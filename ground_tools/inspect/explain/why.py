@@ -311,7 +311,7 @@ class Explainer:
         yielding = {track.track_id for track in decision.tracks if track.yields}
         if len(yielding) == len(decision.tracks):
             yielding = set()
-        # An aircraft that yields excludes nothing if there are other half-spaces.
+        # A track that yields excludes nothing, unless all tracks yield.
         short = [
             (space.cause, space.short_mps(velocity))
             for space in spaces

@@ -2,8 +2,8 @@
 
 Positions are given twice: on Earth, and in a local frame with x to the east, y to the north and z up, whose
 origin is that of the run. Heights on Earth are above the WGS84 ellipsoid if the aircraft's GNSS receiver
-reported its distance from mean sea level, otherwise above mean sea level. The orientation is the course over
-ground, because a record has no attitude.
+reported the distance of the ellipsoid from mean sea level, otherwise above mean sea level. The orientation is
+the course over ground, because a record has no attitude.
 """
 
 from __future__ import annotations

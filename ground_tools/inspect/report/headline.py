@@ -140,7 +140,8 @@ def _on_manoeuvres(aircraft: Sequence[dict[str, Any]]) -> str:
 
 
 def _on_faults(aircraft: Sequence[dict[str, Any]]) -> str:
-    """Doubts about tracks that were withdrawn, as those of a start, are no faults, and stand at the end."""
+    """Line about faults and warnings. Doubts about tracks that were withdrawn, such as those right after a
+    start, do not count as faults; the end of the line lists them."""
     rows = [row for one in aircraft for row in one["faults"]]
     lasting = Counter(_fault(row) for row in rows if row["until_s"] is None)
     withdrawn = Counter(_fault(row) for row in rows if row["until_s"] is not None)

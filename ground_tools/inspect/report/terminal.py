@@ -25,7 +25,7 @@ _NAME = 24
 _MOST_ROWS = 40
 """Most rows printed of one table. The number of omitted rows is printed, and --json has them all."""
 _THINNED_PERCENT, _THINNED = 20.0, "thinned log?"
-"""Text for a component that was never silent but of whose messages at least this share is missing: the
+"""Text for a component that was never silent but of whose messages more than this share is missing: the
 program that wrote the log probably left them out."""
 _LONGEST_WORD = 40
 """A column is at least as wide as its longest word of up to this many characters."""

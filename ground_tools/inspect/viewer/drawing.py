@@ -68,7 +68,7 @@ class Drawing:
         return entity in self._known
 
     def settle(self, now_s: float = math.inf) -> None:
-        """Send the rows that are held back, and remove last rows that are stale now.
+        """Send the rows that are held back, and remove what was drawn last if it is stale now.
 
         Call it without an argument at the end of a run, to remove everything that was drawn last.
         """

@@ -86,7 +86,7 @@ class Writer:
         stream.log(self._draw.entity("about"), about, static=True)
 
     def settle(self, now_s: float = math.inf) -> None:
-        """Send the rows that are held back, and remove last rows that are stale now (`Drawing.settle`)."""
+        """Send the rows that are held back, and remove stale last rows (see `Drawing.settle`)."""
         self._draw.settle(now_s)
 
     def say(self, time_s: float, text: str) -> None:

@@ -126,8 +126,9 @@ def fly_missing(file: Kept[Run], works: list[Work], jobs: int, words: Console, c
     # Open the file now, not after the first run: it is refused if its runs were flown by other software.
     file.add([])
     provenance.write(file.path, made_by_now(command))
-    # A policy's matrices are small: with several NumPy threads, waiting took four times the CPU time. Worker
-    # processes obey this variable. If one worker runs in this process, NumPy has already read it.
+    # A policy's matrices are small: with several NumPy threads, which wait for each other, it took four times
+    # the CPU time. Worker processes obey these variables. A single worker runs in this process, whose NumPy
+    # has read them before.
     for name in _THREADS:
         os.environ.setdefault(name, "1")
     told = _teller(works, words)

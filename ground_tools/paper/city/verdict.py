@@ -44,8 +44,8 @@ TARGETS: Final = {
     "prevented": Target(LOSSES, NOBODY, 0.1),
 }
 """The targets. perfect: at most twice the losses of perfect information. perfect-cruise: the same, far from
-departures and arrivals. prevented: at most a tenth of the losses without avoidance; fewer runs decide this
-one."""
+departures and arrivals. prevented: at most a tenth of the losses without avoidance; this one is decided with
+fewer runs."""
 Standing = Literal["kept", "missed", "open"]
 
 

@@ -1,7 +1,7 @@
 """Figure "Individual transmission delays of 10 UAVs in dynamic airspace density across different
 communication methods": the learners from their stored runs, fixed modes and random choice measured anew.
 
-All aircraft begin alike, so chance decides which of them falls behind. Statements that name aircraft are
+If all aircraft begin alike, chance decides which of them falls behind. Statements that name aircraft are
 checked as published, and the number of such aircraft is given as well.
 """
 

@@ -252,7 +252,7 @@ def test_a_fence_needs_paths_along_one_line():
 
 
 def test_an_aircraft_without_gnss_falls_behind_its_path():
-    """The aircraft without GNSS is behind its path for longer and by more than in calm conditions."""
+    """An aircraft is away from its timed point for longer than in calm conditions, and by more than 15 m."""
     dark = Cell(generator="random", aircraft=4, delay_s=(1.0, 2.0), world="blackout")
     rows = fly(dark, range(1, 9))
     calm = fly(msgspec.structs.replace(dark, world="calm"), range(1, 9))

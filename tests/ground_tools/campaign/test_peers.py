@@ -198,7 +198,7 @@ def head_on(law, world, aside_m):
 
 @pytest.mark.parametrize("law", PEERS)
 def test_a_head_on_pair_resolves(law):
-    """Published ORCA plans for exactly 10 m, and falls below it because of the vehicle's lag."""
+    """Published ORCA plans for exactly 10 m, and may fall below it by up to 1 m, because the vehicle lags."""
     separation, trace = head_on(law, EXACT, 0.5)
     assert separation > (9.0 if law == "orca" else 10.0)
     assert np.abs(trace[-1, 0] - (90.0, 0.0, -100.0)).max() < 5.0
