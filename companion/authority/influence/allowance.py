@@ -132,10 +132,12 @@ class Allowances:
         """
         tracks, places = self._tracks, self._places
         places.clear()
+        proven = set()
         for other in neighbours:
-            if other.proven:
-                continue
             place = key = other.adsb, other.track_id
+            if other.proven:
+                proven.add(key)
+                continue
             if ASIDE in other.track_id:
                 key = other.adsb, other.track_id.partition(ASIDE)[0]
             known = tracks.get(key) or self._remember(now_s, key, other)
@@ -147,6 +149,9 @@ class Allowances:
                 known.follows = key in self._followers and self._followers.hear(
                     now_s, key, here, velocity, other
                 )
+                known.see(now_s, _predicted(other))
+            elif key in proven:  # the record is of its alternative place alone
+                known.latest = other
                 known.see(now_s, _predicted(other))
             places[place] = known
         self._decided_s = now_s

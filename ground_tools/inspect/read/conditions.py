@@ -45,7 +45,8 @@ class GnssQuality:
         if not has_fix:
             return
         if fix.satellites is not None:
-            self.least_satellites = min(fix.satellites, self.least_satellites or fix.satellites)
+            least = self.least_satellites
+            self.least_satellites = fix.satellites if least is None else min(fix.satellites, least)
         if fix.horizontal_accuracy_m is not None:
             self.worst_accuracy_m = max(fix.horizontal_accuracy_m, self.worst_accuracy_m or 0.0)
 

@@ -79,8 +79,8 @@ def test_why_messages_may_be_old_in_words():
     one.position()
     why = "no message has shown the vehicle's mode since its messages were last late or missing"
     assert one.gate.behind_because(one.now_s) == (why, False)
+    heard_s = one.now_s
     for silent_s in (3.0, 60.0):
-        heard_s = one.now_s if silent_s == 3.0 else heard_s
         one.now_s = heard_s + silent_s
         one.gate.emptied(one.now_s)
         why = f"the vehicle has sent nothing for {silent_s:.1f} s"

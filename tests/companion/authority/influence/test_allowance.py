@@ -8,6 +8,7 @@ import pytest
 from companion.avoidance.law import ASIDE
 from companion.config import ContainmentConfig
 from companion.events import AllowanceSpent, Say
+from companion.traffic.places import SIGNAL_PLACE
 from tests.companion.authority.influence.sky import SHORT, ZERO, Sky, other
 
 
@@ -252,3 +253,12 @@ def test_a_newcomer_is_remembered_however_many_have_used_something():
     for batch in range(6):
         sky.run(0.4, *(other(f"F{batch}-{n}") for n in range(200)))
     assert sky.run(0.4, other("NEW", at=(5.0, 0.0, 0.0))) == ["NEW"]
+
+
+def test_the_signal_place_of_a_moving_proven_track_does_not_stand():
+    """A proven track is not remembered, but the place that its signal strength points to is."""
+    sky = Sky()
+    track = other("A", velocity=(5.0, 0.0, 0.0), proven=True)
+    place = msgspec.structs.replace(track, track_id=f"A{SIGNAL_PLACE}", proven=False)
+    assert sky.run(30.0, track, place) == ["A", f"A{SIGNAL_PLACE}"]
+    assert sky.run(25.0, track, place) == ["A"]

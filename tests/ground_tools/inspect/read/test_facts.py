@@ -27,6 +27,7 @@ from companion.events import (
 )
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
+from ground_tools.inspect.read.conditions import GnssQuality
 from ground_tools.inspect.read.facts import gather
 from ground_tools.inspect.read.modes import mode_name
 from ground_tools.inspect.read.read_run import read_run
@@ -186,3 +187,16 @@ def test_current_mode_sets_the_time_of_a_mode_change() -> None:
     events = [hold, beat, hold, hold]
     facts = gather(Step(now_s=float(i), events=(event,), commands=()) for i, event in enumerate(events))
     assert [(now, mode_name(what)) for now, what in facts.rare] == [(1.0, "OFFBOARD"), (2.0, "AUTO.LOITER")]
+
+
+def test_no_satellites_are_the_fewest() -> None:
+    quality = GnssQuality()
+    for now_s, satellites in enumerate((14, 0, 12)):
+        quality.add(
+            float(now_s),
+            GnssFix(
+                fix_type=3, lat_deg=47.0, lon_deg=8.0, alt_msl_m=400.0, alt_ellipsoid_m=447.0,
+                satellites=satellites,
+            ),
+        )  # fmt: skip
+    assert quality.least_satellites == 0
