@@ -68,7 +68,7 @@ class City(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """One of `TRANSPORTS`: one transport for all, the best fixed legal set, the rule, or the policy."""
     region: Literal["none", "us", "eu"] = "none"
     load: Annotated[float, Meta(ge=0, lt=1)] = 0.0
-    """Share of time for which background traffic fills the Wi-Fi channel."""
+    """Share of time for which foreign transmissions fill the Wi-Fi channel."""
     delay_s: tuple[float, float] = (0.0, 1.0)
     loss: Annotated[float, Meta(ge=0, le=1)] = 0.0
     reach_m: Annotated[float, Meta(gt=0)] = 2000.0

@@ -72,7 +72,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     add("--region", choices=("none", "us", "eu"), default=city.region,
         help=f"region whose rules limit the sets of transports (default: {city.region})")  # fmt: skip
     add("--load", type=float, default=city.load, metavar="SHARE",
-        help="share of time of background traffic on the Wi-Fi channel, below 1 (default: 0)")  # fmt: skip
+        help="share of time of foreign transmissions on the Wi-Fi channel, below 1 (default: 0)")  # fmt: skip
     add(
         "--delay",
         type=float,

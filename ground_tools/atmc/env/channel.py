@@ -62,7 +62,7 @@ class Reach:
     on_channel: Tensor
     """(environments, aircraft, Wi-Fi channels), 1 for the aircraft's own channel."""
     quiet: dict[str, Tensor]
-    """Log survival against background traffic in the band, by packet, (environments, receiver, 1)."""
+    """Log survival against foreign transmissions in the band, by packet, (environments, receiver, 1)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,8 +273,8 @@ class TorchChannel:
         Args:
             path_loss_db: (environments, aircraft, aircraft), symmetric.
             wifi_channel: (environments, aircraft), index of the Wi-Fi channel.
-            busy: (environments, aircraft, 3), share of time that background traffic fills each mode's
-                channel. None means no background traffic.
+            busy: (environments, aircraft, 3), share of time that foreign transmissions fill each mode's
+                channel. None means no foreign transmissions.
         """
         environments, aircraft, _ = path_loss_db.shape
         others = 1.0 - torch.eye(aircraft, device=self.device)

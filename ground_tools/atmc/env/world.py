@@ -38,7 +38,7 @@ class WorldSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """"shared": all aircraft use one channel; "random": each has a random one; "either": an environment is
     "random" with probability 1/4, else "shared"."""
     load: tuple[Load, Load] = (0.0, 0.0)
-    """Range of the share of time that background traffic fills the Wi-Fi channel. With probability one half
+    """Range of the share of time that foreign transmissions fill the Wi-Fi channel. With probability one half
     the share is the lower bound, otherwise it is drawn uniformly."""
     bluetooth_load: tuple[Share, Share] = (0.35, 0.35)
     """Range of the background load of the Bluetooth channels, as a fraction of the Wi-Fi load."""
@@ -59,7 +59,7 @@ class World:
     wifi_channel: Tensor
     """Index of each aircraft's Wi-Fi channel, (E, N)."""
     busy: Tensor
-    """Share of time that background traffic fills each mode's channel, (E, N, 3)."""
+    """Share of time that foreign transmissions fill each mode's channel, (E, N, 3)."""
 
     def distance_m(self) -> Tensor:
         """Distances between aircraft, at least 1 m, (E, N, N)."""

@@ -34,7 +34,7 @@ class _Case:
 
 
 class Validation:
-    """Fleets of several sizes in squares of several sizes; for awareness, also each with background traffic.
+    """Fleets of several sizes in squares of several sizes; for awareness also with foreign transmissions.
 
     Args:
         objective: The cost function.

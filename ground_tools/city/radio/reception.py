@@ -63,9 +63,9 @@ class Around(NamedTuple):
     """(M,): `carrier_sense.crowding` of the Wi-Fi load that it senses."""
     hearing: Floats
     """(M, 3): log probability that a BLE 4 PDU, a pointer and an auxiliary packet survive the receiver's own
-    transmissions and the background traffic."""
+    transmissions and the foreign transmissions."""
     wifi_quiet: float
-    """Log probability that a beacon survives the background traffic."""
+    """Log probability that a beacon survives the foreign transmissions."""
     listens: float
     """1: stations sense the carrier."""
     reach2: float

@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--methods", nargs="+", choices=METHODS, default=list(grid.methods), metavar="M",
         help="methods of those below (default: all)")  # fmt: skip
     add("--loads", type=float, nargs="+", default=list(grid.loads), metavar="SHARE",
-        help="shares of time for which background traffic fills the Wi-Fi channel "
+        help="shares of time for which foreign transmissions fill the Wi-Fi channel "
         f"(default: {' '.join(f'{load:g}' for load in grid.loads)})")  # fmt: skip
     seeds = f"{grid.seeds[0]}-{grid.seeds[-1]}"
     add("--seeds", default=seeds, metavar="FROM-TO",

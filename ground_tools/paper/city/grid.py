@@ -16,7 +16,7 @@ from sitl_mocks.channel.link_budget import ranges_m
 DENSITIES: Final = (1.0, 3.0, 10.0, 30.0, 100.0)
 """Aircraft in the air per square kilometre."""
 LOADS: Final = (0.0, 0.6)
-"""Shares of time for which background traffic fills the Wi-Fi channel, as in `paper closed-loop`."""
+"""Shares of time for which foreign transmissions fill the Wi-Fi channel, as in `paper closed-loop`."""
 AIRCRAFT: Final = 400
 LEAST_SIDE_M, MOST_SIDE_M = 2000.0, 20_000.0
 START_S: Final = 15.0
