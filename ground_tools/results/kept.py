@@ -121,17 +121,19 @@ def _compared() -> list[Entry]:
 def _flown() -> list[Entry]:
     from ground_tools.paper.closed_loop.flights import ATMC, CONDITIONS, METHODS
 
-    policy, region = "config/policies/atmc.safetensors", "config/regions/us.toml"
+    region = "config/regions/us.toml"
+    policies = {name: method.kept for name, method in METHODS.items()}
+    policies[ATMC] = "config/policies/atmc.safetensors"
     return [
         Entry(
             f"results/atmc/closed-loop/{condition}-{method}.jsonl",
             f"ground-tools paper closed-loop --out results/atmc --conditions {condition} --methods {method}",
             ("ground_tools.paper.closed_loop.flights",),
             _closed_loop,
-            (_CHANNEL, region, policy) if method == ATMC else (_CHANNEL, region),
+            (_CHANNEL, region, *([policy] if policy is not None else [])),
         )
         for condition in CONDITIONS
-        for method in METHODS
+        for method, policy in policies.items()
     ]
 
 

@@ -96,10 +96,14 @@ def read_policy(scenario: Scenario) -> bytes | None:
 
 
 def with_agent(config: Config, policy: bytes | None, number: int) -> Config:
-    """The configuration with `atmc.agent` set, if the policy holds one network for each aircraft."""
-    if policy is None or policy_file.read(policy, "policy")[0].agents == 1:
+    """The configuration with `atmc.agent` set, if the policy holds one network for each aircraft.
+
+    More aircraft than networks use the networks again, in order.
+    """
+    agents = 1 if policy is None else policy_file.read(policy, "policy")[0].agents
+    if agents == 1:
         return config
-    return msgspec.structs.replace(config, atmc=msgspec.structs.replace(config.atmc, agent=number))
+    return msgspec.structs.replace(config, atmc=msgspec.structs.replace(config.atmc, agent=number % agents))
 
 
 def keep(folder: Path, scenario: Scenario, policy: bytes | None) -> Scenario:

@@ -17,7 +17,7 @@ from companion.atmc.plugin_policy import plugin_policy
 from ground_tools.common import sources
 from ground_tools.common.kept_lines import Kept
 from ground_tools.common.plugin_state import state_of
-from ground_tools.paper.closed_loop.flights import FILE, METHODS, Flight, Row
+from ground_tools.paper.closed_loop.flights import FILE, METHODS, Flight, Row, region_of
 from sitl_mocks.channel.parameters import ChannelParameters
 
 
@@ -48,7 +48,7 @@ def _made_with(flight: Flight, crowd: int) -> dict[str, Any]:
     return {
         "condition": flight.condition,
         "method": flight.method,
-        "region": "none" if method.policy is None else flight.region.name,
+        "region": region_of(flight).name,
         "channel": _digest(msgspec.json.encode(_of_packets(flight.channel))),
         "crowd": crowd,
         "policy": _policy(flight) if method.policy == FILE else None,

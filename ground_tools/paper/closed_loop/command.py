@@ -175,7 +175,10 @@ def flights_of(args: argparse.Namespace, condition: str, method: str) -> list[Fl
     region = scenario_file.load_region(args.region)
     channel = parameters.load(shipped(_CHANNEL))
     policy = plugin = None
-    if method == ATMC:
+    kept = METHODS[method].kept
+    if kept is not None:
+        policy = read_policy(scenario_file.Scenario(atmc=AtmcConfig(policy=str(shipped(kept)))))
+    elif method == ATMC:
         wanted = scenario_file.Scenario(atmc=AtmcConfig(policy=str(args.policy)), region=region)
         plugin = None if names_file(wanted.atmc.policy) else wanted.atmc.policy
         try:

@@ -54,6 +54,10 @@ class Method:
     choice and are the best legal set."""
     policy: str | None = None
     """The policy as in a scenario, or FILE for the policy in a file."""
+    kept: str | None = None
+    """The policy file that comes with the software; None: the one that the command names."""
+    lawful: bool = True
+    """Whether the policy chooses among the sets that are legal in the region, or among all of its actions."""
     avoids: bool = True
 
 
@@ -68,8 +72,17 @@ METHODS: Final = {
     "rule": Method("rule", policy="rule"),
     "random": Method("random legal set", policy="random"),
     ATMC: Method("ATMC", policy=FILE),
+    **{
+        name: Method(words, policy=FILE, kept=f"results/policies/{name}.safetensors", lawful=lawful)
+        for name, words, lawful in (
+            ("paper-madqn", "paper's MADQN", False),
+            ("paper-madqn-shared", "paper's MADQN, one network", False),
+            ("paper-set", "paper's objective, set network", False),
+        )
+    },
 }
-"""The methods. Those without a policy ignore regional law: a single Bluetooth mode is legal nowhere."""
+"""The methods. Those without a policy, and the paper's policies, ignore regional law: single Bluetooth modes,
+which the paper's policies choose from, are legal nowhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +127,12 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     """Share of that time on the fall-back set, because the policy could not choose."""
 
 
+def region_of(flight: Flight) -> Region:
+    """The region whose law the aircraft of a flight obey. `Region()` has none."""
+    method = METHODS[flight.method]
+    return flight.region if method.policy is not None and method.lawful else Region()
+
+
 def scenario_of(flight: Flight) -> tuple[Scenario, list[range]]:
     """The scenario of a run, and the indices of the aircraft of each encounter."""
     method = METHODS[flight.method]
@@ -130,7 +149,7 @@ def scenario_of(flight: Flight) -> tuple[Scenario, list[range]]:
         path=tuple(paths),
         air=air if method.avoids else AirSettings(),
         channel=channel if method.avoids else None,
-        region=Region() if method.policy is None else flight.region,
+        region=region_of(flight),
         atmc=atmc,
         limits=LIMITS,
         avoidance=AVOIDANCE,

@@ -131,9 +131,24 @@ def test_all_methods_fly_the_same_encounters(method):
     theirs, others = scenario_of(flight("dense", "wifi", (5, 6)))
     assert ours.path == theirs.path
     assert groups == others
-    assert ours.region == (US if METHODS[method].policy else Region())
+    assert ours.region == (US if METHODS[method].policy and not method.startswith("paper") else Region())
     alone, (group,) = scenario_of(flight("sparse", method, (5,)))
     assert alone.path == ours.path[: len(group)]
+
+
+@pytest.mark.parametrize("method", ["paper-madqn", "paper-madqn-shared", "paper-set"])
+def test_the_papers_policies_choose_among_their_single_modes(method):
+    args = argparse.Namespace(
+        region=ROOT / "config" / "regions" / "us.toml", seed=1, encounters=1, crowd=12, policy=None
+    )
+    (ours,) = closed_loop.flights_of(args, "sparse", method)
+    (flown,) = rows_of(ours)
+    assert flown.fallback_share == 0.0
+    first, *later = flown.seconds
+    assert first == "ble4 10 + wifi 10"
+    assert later
+    assert not any("+" in name for name in later)
+    assert flown.seconds[first] <= flown.aircraft * 3.0
 
 
 def test_load_is_a_matter_of_the_condition():
