@@ -76,5 +76,6 @@ def test_the_loop_keeps_its_time_while_the_viewer_is_watched_hangs_and_dies(star
     # Steps are stamped with the same clock as the marks.
     assert times[0] < marks[0] < marks[-1] < times[-1] + 1.0
     shares = [missed(times, a, b) for a, b in itertools.pairwise(marks)]
-    # Drawing takes cores of this machine, so beside the flight alone a few ticks more may be late.
-    assert max(shares[1:]) <= shares[0] + 0.1, f"alone, watched, hung, after it: {shares}"
+    # A loop that waited for the viewer would miss the ticks of a whole part. Single ones are missed on a busy
+    # machine, with a viewer and without.
+    assert max(shares[1:]) < shares[0] + 0.5, f"alone, watched, hung, after it: {shares}"
