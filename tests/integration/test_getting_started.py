@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import random
 import re
 import signal
 import socket
@@ -31,13 +32,16 @@ def script():
 
 
 def free_ports(count):
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    for one in sockets:
-        one.bind(("127.0.0.1", 0))
-    ports = [str(one.getsockname()[1]) for one in sockets]
-    for one in sockets:
-        one.close()
-    return ports
+    """UDP ports that are free now, below those that the system gives to the sockets of other tests."""
+    first = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+    found = []
+    for port in random.sample(range(first // 2, first), 200):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one, contextlib.suppress(OSError):
+            one.bind(("127.0.0.1", port))
+            found.append(str(port))
+        if len(found) == count:
+            break
+    return found
 
 
 @pytest.fixture
@@ -94,6 +98,9 @@ def test_two_aircraft_meet_and_are_kept_apart(short_path, programs):
         )
         try:
             process.wait(500.0)
+        except subprocess.TimeoutExpired:
+            logs = [*short_path.glob("*.txt"), *short_path.glob("first-flight/*.log")]
+            pytest.fail("\n".join(f"{path.name}:\n{path.read_text()[-3000:]}" for path in logs))
         finally:
             with contextlib.suppress(ProcessLookupError):  # whatever the page left running
                 os.killpg(process.pid, signal.SIGKILL)
