@@ -20,6 +20,7 @@ from companion.errors import ConfigError
 from companion.runtime.status.status_socket import StatusServer, TrackStatus
 from tests.browser import chromium
 from tests.companion.runtime.status.test_status import STATUS
+from tests.support.waiting import until
 
 LONG_S = 60.0
 LEVELS = ("none", "advisory", "caution", "warning")
@@ -224,20 +225,19 @@ def test_a_browser_draws_every_track_and_asks_nobody_else(flight, width):
 @pytest.mark.skipif(chromium.missing() is not None, reason=str(chromium.missing()))
 def test_a_stopped_browser_changes_nothing_for_the_flight_and_for_others(flight):
     """A page that asks once a second stops, as on a phone that sleeps; others are answered as before."""
-    path, asked = flight
+    (path, asked), answers = flight, []
     with served(path) as display, chromium.opened(390, 800) as page:
         page.page.goto(display.url)
         page.page.wait_for_selector("svg g.track")
         with chromium.stopped():
-            connection = http.client.HTTPConnection("127.0.0.1", display.server_port, timeout=LONG_S)
-            answers, before = 0, len(asked)
-            while len(asked) < before + 5:
-                connection.request("GET", "/state")
-                answer = connection.getresponse()
-                assert answer.status == 200
-                answers += len(answer.read()) > 0
-                time.sleep(0.05)
-            assert answers >= 5
+            before = len(asked)
+            until(
+                lambda: len(asked) >= before + 5,
+                "the flight's answer to another browser",
+                meanwhile=lambda: answers.append(get(display, "/state")[0]),
+                pause_s=0.05,
+            )
+            assert set(answers) == {200}
         page.page.evaluate("document.querySelectorAll('svg g.track').forEach(track => track.remove())")
         page.page.wait_for_selector("svg g.track")  # awake again, it goes on
         assert page.errors == []
