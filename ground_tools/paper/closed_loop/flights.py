@@ -55,9 +55,7 @@ class Method:
     policy: str | None = None
     """The policy as in a scenario, or FILE for the policy in a file."""
     kept: str | None = None
-    """The policy file that comes with the software; None: the one that the command names."""
-    lawful: bool = True
-    """Whether the policy chooses among the sets that are legal in the region, or among all of its actions."""
+    """One of the paper's policies, which come with the software; None: the policy that the command names."""
     avoids: bool = True
 
 
@@ -73,16 +71,16 @@ METHODS: Final = {
     "random": Method("random legal set", policy="random"),
     ATMC: Method("ATMC", policy=FILE),
     **{
-        name: Method(words, policy=FILE, kept=f"results/policies/{name}.safetensors", lawful=lawful)
-        for name, words, lawful in (
-            ("paper-madqn", "paper's MADQN", False),
-            ("paper-madqn-shared", "paper's MADQN, one network", False),
-            ("paper-set", "paper's objective, set network", False),
+        name: Method(words, policy=FILE, kept=f"results/policies/{name}.safetensors")
+        for name, words in (
+            ("paper-madqn", "paper's MADQN"),
+            ("paper-madqn-shared", "paper's MADQN, one network"),
+            ("paper-set", "paper's objective, set network"),
         )
     },
 }
-"""The methods. Those without a policy, and the paper's policies, ignore regional law: single Bluetooth modes,
-which the paper's policies choose from, are legal nowhere."""
+"""The methods. Those without a policy, and the paper's policies, which choose single modes, ignore regional
+law: BLE 4 alone is legal nowhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,9 +126,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def region_of(flight: Flight) -> Region:
-    """The region whose law the aircraft of a flight obey. `Region()` has none."""
+    """The region whose law the aircraft of a flight obey; `Region()` if none."""
     method = METHODS[flight.method]
-    return flight.region if method.policy is not None and method.lawful else Region()
+    return flight.region if method.policy is not None and method.kept is None else Region()
 
 
 def scenario_of(flight: Flight) -> tuple[Scenario, list[range]]:

@@ -11,8 +11,14 @@ from msgspec.structs import replace
 from torch import nn
 
 from companion.atmc import policy
+from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
 from ground_tools.atmc.env.environment import Env, EnvSettings
-from ground_tools.atmc.env.flat_observation import flat
+from ground_tools.atmc.env.flat_observation import (
+    FLAT_NEIGHBOUR_COLUMNS,
+    FLAT_OWN_COLUMNS,
+    flat,
+    whole_rows,
+)
 from ground_tools.atmc.env.paper_task import PaperTask, TaskSettings, measure
 from ground_tools.atmc.learners.algorithms import ALGORITHMS
 from ground_tools.atmc.learners.iac import discounted
@@ -179,6 +185,20 @@ def test_flat_rows_stand_nearest_first():
     assert (distance[..., 1:] >= distance[..., :-1]).all()
     assert (table[~there] == 0).all()
     assert 0 < there.sum() < there.numel()
+
+
+def test_a_flat_row_becomes_the_observation_of_those_that_are_heard():
+    task = PaperTask(TASK, torch.Generator().manual_seed(1))
+    seen = Env(EnvSettings(), task.objective, 20, 6, torch.Generator().manual_seed(2)).observe()
+    assert 0 < seen.heard.sum() < seen.heard.numel() - 120
+    for e, n in np.ndindex(20, 6):
+        own, rows = whole_rows(flat(seen)[e, n].numpy())
+        heard = seen.rows[e, n][seen.heard[e, n] > 0]
+        heard = heard[heard[:, 0].argsort()].numpy()
+        columns = [NEIGHBOUR_COLUMNS.index(name) for name in FLAT_NEIGHBOUR_COLUMNS]
+        np.testing.assert_array_equal(rows[:, columns], heard[:, columns])
+        columns = [OWN_COLUMNS.index(name) for name in FLAT_OWN_COLUMNS]
+        np.testing.assert_array_equal(own[columns], seen.own[e, n].numpy()[columns])
 
 
 def test_a_frozen_policy_chooses_as_the_network_does():

@@ -242,3 +242,14 @@ def test_an_aircraft_that_avoided_another_is_not_reported_as_passive(tmp_path):
     (row, *_) = describe(read_run(tmp_path))["conflicts"]
     assert sorted(row["pair"]) == ["ONE", "TWO"]
     assert "ONE was avoiding THREE at that time" in "; ".join(row["done"])
+
+
+@pytest.mark.parametrize(
+    ("predicted_m", "words"), [(30.0, "LAW, 30.00 m from ONE"), (50.0, "SEEN, 40 m beside ONE")]
+)
+def test_the_nearer_of_a_predicted_and_a_reported_approach_is_told(predicted_m, words):
+    nearest = {"slant_m": 40.0, "aside_m": 40.0, "above_m": None, "barometric": False, "time_s": 2.0}
+    heard = {"identity": "SEEN", "callsign": "", "of_the_run": False, "by": "wifi", "nearest": nearest}
+    conflict = {"pair": ("ONE", "LAW"), "by": "prediction", "minimum_m": predicted_m, "time_s": 1.0}
+    figures = {"aircraft": [{"name": "ONE", "traffic": [heard]}], "conflicts": [conflict]}
+    assert headline._on_traffic(figures).startswith(f"Nearest other aircraft: {words}")

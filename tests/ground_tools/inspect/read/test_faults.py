@@ -121,6 +121,16 @@ def test_repeated_faults_are_one_row_and_are_counted(tmp_path):
     assert row == ["ONE", "0.0", "7.0", "8", "vehicle", "ODID: lost"]
 
 
+def test_of_many_faults_three_are_named_and_the_rest_counted(tmp_path):
+    steps = [step(float(k), events=(VehicleText(severity=3, text=f"fault {k}"),)) for k in range(5)]
+    write(tmp_path, ONE, steps)
+    figures = describe(read_run(tmp_path))
+    named = "vehicle: fault 0, vehicle: fault 1, vehicle: fault 2, 2 more"
+    assert f"Faults and warnings: 5; {named}" in headline.verdicts(figures)
+    assert headline.head({**figures, "positions": "truth"}).endswith("distances from truth")
+    assert headline.head({**figures, "positions": ""}).endswith("distances from no positions")
+
+
 def test_notes_are_no_damage(tmp_path):
     write(tmp_path, ONE, [step(0.0), step(1.0)])
     figures = describe(read_run(tmp_path))
