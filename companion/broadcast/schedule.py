@@ -23,6 +23,11 @@ OVERLAP_S = 1.0
 by one of them."""
 _OTHERS_PERIOD_S = 3.0
 """Period of Self ID and the other messages for which the region sets none."""
+_NAMING_S = 3.0
+_NAMING_PERIOD_S = 0.5
+"""On BLE 4, Basic ID goes with every Location of the first `_NAMING_S`, and at least once a
+`_NAMING_PERIOD_S`. Receivers cannot tell an aircraft that they know from another transport until they have
+its name: if BLE 4 is given up before, they avoid a nameless second aircraft."""
 _LONGEST_STEP_S = 0.3
 _EPSILON_S = 1e-6
 
@@ -32,6 +37,7 @@ class _Lane:
     """Timing of one transport on the air."""
 
     rate: int
+    began_s: float
     next_s: float
     """Time at which the requested rate makes the next Location due."""
     sent_s: dict[type[Message], float] = field(default_factory=dict)
@@ -110,7 +116,7 @@ class Schedule:
         for transport, rate in rates.items():
             if transport not in can_send:
                 continue
-            lane = self._lanes.setdefault(transport, _Lane(rate=rate, next_s=now_s))
+            lane = self._lanes.setdefault(transport, _Lane(rate=rate, began_s=now_s, next_s=now_s))
             if lane.rate != rate:
                 lane.rate = rate
                 lane.next_s = min(lane.next_s, now_s + GNSS_CYCLE_S / rate)
@@ -141,6 +147,9 @@ class Schedule:
             lane.next_s = now_s + GNSS_CYCLE_S / lane.rate
         if transport == BLE4:
             kinds |= {kind for kind, limit_s in limits_s.items() if self._late(lane, kind, limit_s, now_s)}
+            naming = BasicId in limits_s and now_s - lane.began_s < _NAMING_S
+            if naming and (Location in kinds or self._late(lane, BasicId, _NAMING_PERIOD_S, now_s)):
+                kinds.add(BasicId)
         return kinds
 
     def _limits_s(

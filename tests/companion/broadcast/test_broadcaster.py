@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import msgspec
 import pytest
 
@@ -320,3 +322,27 @@ def test_every_pack_holds_all_messages(bench):
     assert packs
     for messages in packs:
         assert [type(m) for m in messages] == [BasicId, Location, System, SelfId, OperatorId]
+
+
+@pytest.mark.parametrize(("rate", "period_s"), [(1, 0.5), (10, 0.1)])
+def test_ble4_begins_with_its_name(make_bench, rate, period_s):
+    """A receiver that misses the first Basic ID avoids an aircraft it knows from Wi-Fi a second time."""
+    bench = make_bench()
+    bench.core.broadcaster.ask({"wifi": 10})
+    bench.extra = [RadioState(can_send=("ble4", "wifi"), wifi_channel=6)]
+    bench.step(100)
+    began_s = bench.now_s
+    bench.core.broadcaster.ask({"ble4": rate, "wifi": 10})
+    sent = []
+    for _ in range(160):
+        sent += [
+            (bench.now_s - began_s, {type(m) for m in c.messages})
+            for c in bench.step(1)
+            if getattr(c, "transport", None) == "ble4"
+        ]
+    named_s = [s for s, kinds in sent if BasicId in kinds]
+    first_s = [s for s in named_s if s < 3.05]
+    assert all(BasicId in kinds for s, kinds in sent if s < 3.0 and Location in kinds)
+    assert max(b - a for a, b in pairwise(first_s)) <= period_s + 0.051
+    later = [b - a for a, b in pairwise(s for s in named_s if s > 3.05)]
+    assert min(later) > 0.7
