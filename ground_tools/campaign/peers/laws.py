@@ -68,7 +68,7 @@ PEERS: Final[dict[str, Peer]] = {
     "orca-constant": Peer(
         "ORCA with a larger constant radius",
         cast(Loop, orca.fly),
-        Orca(radius_m=18.0, horizon_s=30.0, overlap_s=_PERIOD_S, predicted=1.0, own_volume=0.0, growth=0.0),
+        Orca(radius_m=20.0, horizon_s=30.0, overlap_s=_PERIOD_S, predicted=1.0, own_volume=0.0, growth=0.0),
         grid={
             "radius_m": (12.0, 14.0, 16.0, 18.0, 20.0, 22.0, 25.0, 28.0),
             "horizon_s": (10.0, 20.0, 30.0),
@@ -89,7 +89,7 @@ PEERS: Final[dict[str, Peer]] = {
     "mvp": Peer(
         "Modified Voltage Potential (BlueSky)",
         cast(Loop, mvp.fly),
-        Mvp(radius_m=20.0, height_m=16.0, look_s=30.0, level=1.0, margin=1.01, head_on_m=1.0, predicted=1.0),
+        Mvp(radius_m=20.0, height_m=16.0, look_s=15.0, level=0.0, margin=1.01, head_on_m=10.0, predicted=1.0),
         grid={
             "radius_m": (12.0, 16.0, 20.0),
             "look_s": (15.0, 30.0),
@@ -102,7 +102,7 @@ PEERS: Final[dict[str, Peer]] = {
     "fly-away": Peer(
         "fly away from the most serious threat (ArduPilot's AP_Avoidance)",
         cast(Loop, fly_away.fly),
-        FlyAway(f_dist_xy_m=20.0, f_dist_z_m=15.0, f_time_s=10.0, level=0.0, predicted=1.0),
+        FlyAway(f_dist_xy_m=15.0, f_dist_z_m=15.0, f_time_s=5.0, level=0.0, predicted=0.0),
         grid={
             "f_dist_xy_m": (10.0, 15.0, 20.0),
             "f_time_s": (5.0, 10.0),
