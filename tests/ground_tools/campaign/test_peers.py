@@ -19,7 +19,7 @@ from ground_tools import cli
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import flight, outcome, tables
 from ground_tools.campaign.cells import Cell
-from ground_tools.campaign.peer_comparison import pareto, search
+from ground_tools.campaign.peer_comparison import command, pareto, search
 from ground_tools.campaign.peer_comparison import table as comparison
 from ground_tools.campaign.peers import common, flown, fly_away, laws, mvp, orca
 from ground_tools.campaign.world import World
@@ -346,21 +346,41 @@ def test_the_kept_search_found_what_the_laws_fly_with():
 def test_the_page_shows_the_kept_tables(name):
     kept = tables.read(ROOT / "results" / "campaign" / f"peers-{name}.json")
     assert [x.cell for x in kept.lines] == comparison.TABLES[name].cells()
+    assert comparison.markdown(name, kept.lines) in on_the_page(kept)
+
+
+def test_the_page_shows_the_points_of_the_picture():
+    kept = tables.read(ROOT / "results" / "campaign" / "peers-pareto.json")
+    assert [x.cell for x in kept.lines] == pareto.cells()
+    assert pareto.markdown(kept.lines) in on_the_page(kept)
+
+
+def test_the_page_shows_the_best_of_the_kept_search():
+    kept = tables.read(ROOT / "results" / "campaign" / "peers-search.json")
+    assert search.markdown(kept.lines) in (ROOT / "docs" / "peers-results.md").read_text()
+
+
+def on_the_page(kept):
+    """The page's text, after a check that it and the commands use the kept seeds."""
     page = (ROOT / "docs" / "peers-results.md").read_text()
-    assert comparison.markdown(name, kept.lines) in page
-    assert f"seeds {kept.seeds[0]:,} to {kept.seeds[1]:,}" in page
+    first, last = kept.seeds
+    assert f"{first}-{last}" == command.HELD_OUT
+    for line in kept.lines:
+        assert line.found["runs"] == last - first + 1
+    assert f"{last - first + 1:,} flights a cell (seeds {first:,} to {last:,})" in page
+    return page
 
 
 def test_a_table_from_one_command(capsys, monkeypatch, tmp_path):
     small = replace(comparison.TABLES["encounters"].encounters[1], aircraft=2)
     table = comparison.Table("two", ("none", "orca"), (small,), comparison.separation, "numbers")
     monkeypatch.setitem(comparison.TABLES, "encounters", table)
-    command = ["campaign", "peers", "table", "encounters", "--seeds", "1-2", "--processes", "1"]
-    command += ["--out", str(tmp_path / "kept"), "--file", str(tmp_path / "table.json")]
-    assert cli.main(command) == 0
+    words = ["campaign", "peers", "table", "encounters", "--seeds", "1-2", "--processes", "1"]
+    words += ["--out", str(tmp_path / "kept"), "--file", str(tmp_path / "table.json")]
+    assert cli.main(words) == 0
     out = capsys.readouterr().out
     assert out.startswith("| encounter | none | orca |\n| --- | --- | --- |\n| S2 | ")
-    assert cli.main([*command, "--json"]) == 0
+    assert cli.main([*words, "--json"]) == 0
     lines = json.loads(capsys.readouterr().out)["lines"]
     assert [(x["encounter"], x["law"], x["runs"]) for x in lines] == [("S2", "none", 2), ("S2", "orca", 2)]
     assert len(tables.read(tmp_path / "table.json").lines) == 2
