@@ -89,7 +89,7 @@ PEERS: Final[dict[str, Peer]] = {
     "mvp": Peer(
         "Modified Voltage Potential (BlueSky)",
         cast(Loop, mvp.fly),
-        Mvp(radius_m=20.0, height_m=16.0, look_s=15.0, level=0.0, margin=1.01, head_on_m=10.0, predicted=1.0),
+        Mvp(radius_m=20.0, height_m=16.0, look_s=30.0, level=1.0, margin=1.01, head_on_m=10.0, predicted=1.0),
         grid={
             "radius_m": (12.0, 16.0, 20.0),
             "look_s": (15.0, 30.0),

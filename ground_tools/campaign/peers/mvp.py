@@ -170,12 +170,14 @@ def _resolve(mind: Mind, i: int, count: int, own: k.Own, wanted: k.Vector, p: Mv
     for j in range(len(mind.notes)):
         if pairs[j] == 2.0:
             pairs[j] = 0.0
-    level = math.sqrt(n * n + e * e)
-    if level > law.speed_mps:
-        n, e = n * law.speed_mps / level, e * law.speed_mps / level
-    d = min(max(d, -law.climb_mps), law.descent_mps)
     if p.level != 0.0 or not resolved:
         d = wanted.d
+    # `kernels.limit` keeps the limit of the change only for wishes within the greatest speed. As there, the
+    # vertical part has priority.
+    d = min(max(d, -law.climb_mps), law.descent_mps)
+    level, room = math.sqrt(n * n + e * e), math.sqrt(max(law.speed_mps * law.speed_mps - d * d, 0.0))
+    if level > room:
+        n, e = n * room / level, e * room / level
     own_notes[_BEGUN], own_notes[_TIME], own_notes[_ACTIVE] = 1.0, own.now_s, 1.0 if active else 0.0
     own_notes[_VELOCITY], own_notes[_VELOCITY + 1], own_notes[_VELOCITY + 2] = n, e, d
 

@@ -248,20 +248,9 @@ def test_every_command_is_within_the_limits(law):
     assert commands[:, 2].min() >= -LIMITS.climb_mps - 1e-9
 
 
-@pytest.mark.parametrize(
-    "law",
-    [
-        pytest.param(
-            law,
-            marks=pytest.mark.xfail(
-                law == "mvp", strict=True, reason="mvp wishes for more than the greatest speed"
-            ),
-        )
-        for law in PEERS
-    ],
-)
+@pytest.mark.parametrize("law", [*PEERS, "mvp:look_s=15,level=0", "fly-away:level=1"])
 def test_every_command_changes_within_the_limit(law):
-    """`kernels.limit` keeps the limit of the change if the wish is within the greatest speed."""
+    """`kernels.limit` keeps the limit of the change only if the law's wish is within the greatest speed."""
     look = campaign.look(Cell(generator="circle", aircraft=4, law=law, delay_s=(1.0, 2.0)), 3)
     changes = np.linalg.norm(np.diff(look.log.flown[:, 0], axis=0), axis=1)
     assert changes.max() <= LIMITS.acceleration_mps2 * 0.2 + 1e-6
