@@ -61,6 +61,9 @@ class City(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     settle_s: Annotated[float, Meta(ge=0)] = 60.0
     """Simulated time at which counting begins."""
     law: Literal["dmuca", "none"] = "dmuca"
+    separation_m: Annotated[float, Meta(gt=0, le=100)] = measure.SEPARATION_M
+    """Separation that the law is asked to keep. Losses are counted below `measure.SEPARATION_M` all the
+    same."""
     knows: Literal["radio", "given", "perfect"] = "radio"
     """radio: messages by the channel equations. given: messages with `delay_s` and `loss`. perfect: the true
     state of all aircraft within 2.5 km."""
@@ -208,7 +211,7 @@ def simulation_of(city: City, seed: int) -> tuple[Simulation, list[AnalyticRadio
     Raises:
         ConfigError: a setting or a file cannot be used.
     """
-    avoidance = AvoidanceConfig(law=city.law)
+    avoidance = AvoidanceConfig(law=city.law, conflict_radius_m=city.separation_m / 2.0)
     flights = flights_for(city, avoidance, seed)
     rng, radio_rng, other_rng = (np.random.default_rng([seed, number]) for number in (31, 32, 33))
     knows = {"radio": RADIO, "given": GIVEN, "perfect": PERFECT}[city.knows]

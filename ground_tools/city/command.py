@@ -64,6 +64,9 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         help=f"simulated time at which counting begins (default: {city.settle_s:g})")  # fmt: skip
     add("--law", choices=("dmuca", "none"), default=city.law,
         help=f"avoidance law: the companion's, or none (default: {city.law})")  # fmt: skip
+    add("--separation", type=float, default=city.separation_m, metavar="M",
+        help="separation that the law is asked to keep; losses are counted below "
+        f"{city.separation_m:g} m all the same (default: {city.separation_m:g})")  # fmt: skip
     add("--knows", choices=("radio", "given", "perfect"), default=city.knows,
         help="how aircraft learn of each other: by the channel equations, by messages with --delay and "
         f"--loss, or with perfect information (default: {city.knows})")  # fmt: skip
@@ -146,6 +149,7 @@ def city_of(args: argparse.Namespace) -> City:
             duration_s=60.0 * args.minutes,
             settle_s=args.settle,
             law=args.law,
+            separation_m=args.separation,
             knows=args.knows,
             transports=args.transports,
             region=args.region,

@@ -128,16 +128,29 @@ def grid_of(args: argparse.Namespace) -> Grid:
         duration_s=60.0 * args.minutes,
         settle_s=args.settle,
     )
+    return checked(grid)
+
+
+def checked(grid: Grid, densities: str = "--densities", loads: str = "--loads") -> Grid:
+    """The grid itself, if it can be flown.
+
+    Args:
+        densities, loads: names of the options that set them, for messages.
+
+    Raises:
+        ConfigError: a number is out of range.
+    """
     for density in grid.densities:
         if not 0.0 < density <= 200.0:
-            raise ConfigError(f"--densities: {density:g} is out of range; allowed: above 0, up to 200")
+            raise ConfigError(f"{densities}: {density:g} is out of range; allowed: above 0, up to 200")
     for load in grid.loads:
         if not 0.0 <= load < 1.0:
-            raise ConfigError(f"--loads: {load:g} is out of range; allowed: 0 up to, but not, 1")
+            raise ConfigError(f"{loads}: {load:g} is out of range; allowed: 0 up to, but not, 1")
     if not 2 <= grid.aircraft <= _MOST_AIRCRAFT:
         raise ConfigError(f"--aircraft: {grid.aircraft} is out of range; allowed: 2 to {_MOST_AIRCRAFT:,}")
     if not 10.0 <= grid.duration_s <= 86_400.0:
-        raise ConfigError(f"--minutes: {args.minutes:g} is out of range; allowed: 1/6 to 1440")
+        minutes = grid.duration_s / 60.0
+        raise ConfigError(f"--minutes: {minutes:g} is out of range; allowed: 1/6 to 1440")
     if not 0.0 <= grid.settle_s < grid.duration_s:
         raise ConfigError(f"--settle: {grid.settle_s:g}; allowed: 0 up to, but not, the length of a run")
     try:

@@ -14,11 +14,13 @@ from ground_tools.paper.city.numbers import MEASURES, Measure, estimates
 
 SHOWN: Final = tuple(measure for measure in MEASURES if measure.panel)
 _ROWS: Final = (len(SHOWN) + 1) // 2
-_COLOURS: Final = {
+COLOURS: Final = {
     "ble4": "#56b4e9", "ble5": "#0072b2", "wifi": "#e69f00", "fixed": "#d55e00", "rule": "#cc79a7",
     "policy": "#009e73", "perfect": "#000000", "none": "#8c8c8c",
 }  # fmt: skip
-_MARKS: Final = dict(zip(METHODS, "ovs^DPX*", strict=True))
+"""Colour of each method."""
+MARKS: Final = dict(zip(METHODS, "ovs^DPX*", strict=True))
+"""Marker of each method."""
 _APART: Final = 0.04
 """Horizontal offset between methods, in decades of density, so that no interval hides another."""
 
@@ -90,12 +92,12 @@ def draw(figure: Any, cells: Mapping[Cell, Sequence[Row]]) -> None:
 
 def _draw(axes: Any, curve: Curve, measure: Measure) -> Any:
     """Draw a curve. Returns its line, for the legend."""
-    colour, scale = _COLOURS[curve.method], measure.scale
+    colour, scale = COLOURS[curve.method], measure.scale
     shift = 10.0 ** (_APART * (list(METHODS).index(curve.method) - 3.5))
     places = [density * shift for density, _ in curve.points]
     values = [scale * value.value for _, value in curve.points]
     shown = [value if value > 0.0 or not measure.logarithmic else math.nan for value in values]
-    (line,) = axes.plot(places, shown, color=colour, marker=_MARKS[curve.method], ms=6, lw=1.6)
+    (line,) = axes.plot(places, shown, color=colour, marker=MARKS[curve.method], ms=6, lw=1.6)
     for place, value, (_, found) in zip(places, values, curve.points, strict=True):
         if not math.isfinite(found.low) or not math.isfinite(found.high):
             continue
