@@ -25,7 +25,7 @@ from ground_tools.city.cells import City, Row
 from ground_tools.city.traffic.demand import PATTERNS
 from ground_tools.common.figure import drawn
 from ground_tools.common.run_options import processes_of, seeds_of
-from ground_tools.paper.city import picture, runs, table
+from ground_tools.paper.city import capacity, picture, runs, table
 from ground_tools.paper.city.grid import METHODS, Cell, Grid, inside, ranges_of
 from ground_tools.paper.city.verdict import sentences, verdicts
 
@@ -42,8 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Fly cities of rising density, with every way to learn of other aircraft, without and with foreign\n"
         "load, and show losses of separation, conflicts, deviation, ages and channel load with intervals of\n"
-        "95 % over seeds; then state at which density each method stops keeping the target. The expected\n"
-        "CPU time is printed first. Finished runs are kept in --out, so that the same command continues."
+        "95 % over seeds; then state at which density each method stops keeping the target, and how many\n"
+        "aircraft it carries at a given distance from the timed point. The expected CPU time is printed\n"
+        "first. Finished runs are kept in --out, so that the same command continues."
     )
     parser.epilog = f"example: {EXAMPLE}\n\nmethods:\n" + "\n".join(
         f"  {k:8s} {m.words}" for k, m in METHODS.items()
@@ -102,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
         if draws:
             picture.draw(figure, rows)
     _tell(args, grid, rows, words)
-    _write(out / "table.md", table.markdown(rows))
+    _write(out / "table.md", table.markdown(rows) + "\n" + capacity.markdown(rows))
     _write(out / "table.csv", table.csv_of(rows))
     made = [out / "table.md", out / "table.csv", *([path] if draws else []), *_parquet(out, grid, rows)]
     words.print(f"wrote {', '.join(map(str, made))}", soft_wrap=True, highlight=False, markup=False)
@@ -183,7 +184,12 @@ def _tell(args: argparse.Namespace, grid: Grid, rows: Mapping[Cell, list[Row]], 
             print(json.dumps(line, allow_nan=False))
         return
     table.show(rows, words)
-    for text in (*sentences(found), "Edges:", *(f"  {line}" for line in edges(grid))):
+    for text in (
+        *sentences(found),
+        *capacity.markdown(rows).splitlines(),
+        "Edges:",
+        *(f"  {line}" for line in edges(grid)),
+    ):
         words.print(text, highlight=False, soft_wrap=True, markup=False)
 
 

@@ -13,36 +13,18 @@ import pytest
 
 from companion.errors import ConfigError
 from ground_tools import cli
-from ground_tools.city.cells import City, Row
+from ground_tools.city.cells import City
 from ground_tools.common import provenance
 from ground_tools.common.figure import styled
-from ground_tools.paper.city import picture, runs, table
+from ground_tools.paper.city import capacity, picture, runs, table
 from ground_tools.paper.city.grid import METHODS, Cell, Grid, cost_s, inside
 from ground_tools.paper.city.numbers import LOSSES, MEASURES, estimate
 from ground_tools.paper.city.verdict import sentences, verdicts
+from tests.ground_tools.paper.made_city import SILENT, row, three
 
 ROOT = Path(__file__).parents[3]
 KEPT = ROOT / "results" / "city-paper" / runs.FILE
 BY_KEY = {measure.key: measure for measure in MEASURES}
-
-
-def row(seed=1, losses=0, hours=25.0, **changes):
-    """A made-up run."""
-    made = Row(
-        seed=seed, flights=10, arrived=5, in_the_air=5, waiting=0, not_due=0, slots=10, flight_h=hours,
-        losses=losses, cruise_losses=losses // 2, collisions=0, least_m=9.0, deviation_m=4.0,
-        largest_deviation_m=9.0, late_s=0.0, waited_s=0.0, infeasible=0.0, conflict=0.1, asked=3.0, age_s=1.0,
-        old=0.1, unheard=0.2, wifi_load=0.5, ble4=10.0, ble5=0.0, wifi=10.0, refused=0.0, given_up=0,
-        turned_away=0, not_measured=0,
-    )  # fmt: skip
-    return msgspec.structs.replace(made, **changes)
-
-
-def three(losses, **changes):
-    return [row(seed, losses, **changes) for seed in (1, 2, 3)]
-
-
-SILENT = {"age_s": None, "old": None, "unheard": None, "wifi_load": None}
 
 
 def cells(*by_density, load=0.0):
@@ -321,6 +303,32 @@ def test_the_help_has_an_example_and_the_methods(capsys):
     assert all(method.words in told for method in METHODS.values())
 
 
+# ---------------------------------------------------------------- aircraft at a given distance
+
+
+def at(density, method, deviation_m, losses):
+    return {Cell(0.0, density, method): three(losses, deviation_m=deviation_m)}
+
+
+def test_the_density_at_a_distance_is_interpolated_while_losses_are_prevented():
+    cells = {
+        **at(1.0, "none", 2.0, 400), **at(10.0, "none", 2.0, 400), **at(100.0, "none", 2.0, 400),
+        **at(1.0, "ble4", 2.0, 0), **at(10.0, "ble4", 4.0, 0), **at(100.0, "ble4", 16.0, 0),
+        **at(1.0, "wifi", 5.0, 0), **at(10.0, "wifi", 7.0, 0), **at(100.0, "wifi", 9.0, 400),
+        **at(1.0, "ble5", 2.0, 400),
+    }  # fmt: skip
+    assert capacity.capacity(cells, 0.0, "ble4", 4.0).density == pytest.approx(10.0)
+    assert capacity.capacity(cells, 0.0, "ble4", 8.0).density == pytest.approx(10.0 * 10.0**0.5)
+    assert capacity.capacity(cells, 0.0, "ble4", 20.0).words == "> 100"
+    assert capacity.capacity(cells, 0.0, "wifi", 4.0).words == "< 1"
+    assert capacity.capacity(cells, 0.0, "wifi", 8.0).words == "> 10"  # at 100 it prevents nothing
+    text = capacity.markdown(cells)
+    assert "| BLE 4 at 10 | 10 | 20 | 46 |" in text
+    assert "| Wi-Fi at 10 | < 1 | 3.5 | > 10 |" in text
+    assert "| BLE 5 at 10 | - | - | - |" in text
+    assert "nobody avoids" not in text
+
+
 # ---------------------------------------------------------------- what ships
 
 
@@ -332,7 +340,9 @@ def test_the_page_shows_the_kept_runs():
     page = (ROOT / "docs" / "city-results.md").read_text()
     assert table.brief(rows) in page
     assert f"ground-tools paper city{grid.options} --out results/city-paper" in page
-    assert (KEPT.parent / "table.md").read_text() == table.markdown(rows)
+    text = table.markdown(rows) + "\n" + capacity.markdown(rows)
+    assert (KEPT.parent / "table.md").read_text() == text
+    assert capacity.markdown(rows) in page
     found = {(v.target, v.load, v.method): v for v in verdicts(rows)}
     for load in grid.loads:
         assert [m for m in METHODS if m != "perfect" and found["perfect", load, m].at("missed")] == [
