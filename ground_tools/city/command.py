@@ -4,7 +4,6 @@ load."""
 from __future__ import annotations
 
 import argparse
-import functools
 import json
 import math
 import time
@@ -19,12 +18,11 @@ from rich.console import Console
 from companion.errors import ConfigError
 from companion.shipped import given
 from ground_tools.channel import options
-from ground_tools.city import cells, parquet
+from ground_tools.city import cells, parquet, spread
 from ground_tools.city.cells import TRANSPORTS, City, Row
 from ground_tools.city.traffic.demand import PATTERNS, Demand
 from ground_tools.common.progress import progress
-from ground_tools.common.run_options import processes_of, seeds_of
-from ground_tools.common.workers import in_parallel
+from ground_tools.common.run_options import seeds_of
 
 EXAMPLE = "ground-tools city --density 10 --size 10 10 --transports policy --seeds 1-5 --out runs/city"
 _MOST_AIRCRAFT = 20_000
@@ -95,7 +93,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="keep results in this folder, also as Parquet, and do not repeat runs that are there",
     )
-    add("--jobs", type=int, metavar="N", help="runs at the same time (default: one per core)")
+    spread.add_options(command)
     add("--json", action="store_true", help="print one JSON object instead of text")
     command.set_defaults(run=run)
 
@@ -108,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
     """
     city, seeds = city_of(args), seeds_of(args.seeds)
     began = time.perf_counter()
-    rows, flown = fly_missing(city, seeds, args.out, processes_of(args.jobs, "jobs"), Console(stderr=True))
+    rows, flown = fly_missing(city, seeds, args, Console(stderr=True))
     found = summary(rows)
     found |= {"flown": flown, "wall_s": round(time.perf_counter() - began, 3)}
     if args.json:
@@ -171,31 +169,32 @@ def city_of(args: argparse.Namespace) -> City:
 
 
 def fly_missing(
-    city: City, seeds: Sequence[int], folder: Path | None, jobs: int, words: Console
+    city: City, seeds: Sequence[int], args: argparse.Namespace, words: Console
 ) -> tuple[list[Row], int]:
     """Fly the seeds that are not in the folder. Returns the rows of all seeds, in their order, and the number
     flown.
 
     Args:
-        folder: folder in which results are stored and looked up; None: they are not stored.
-        jobs: number of worker processes.
+        args: options of the command. With `--out`, results are stored in that folder and looked up there.
 
     Raises:
         ConfigError: a file cannot be read or written, or a setting cannot be used.
     """
     rows: dict[int, Row] = {}
-    file = None
+    file, folder = None, args.out
     if folder is not None:
         options.make_folder(folder)
         parquet.check()
         file = cells.kept(folder, city)
         rows = dict(file.rows)
     missing = [seed for seed in seeds if seed not in rows]
-    work = functools.partial(_fly, city, folder)
+    works = [(city, seed) for seed in missing]
     with progress("runs", len(missing)) as advance:
-        for _, row in in_parallel(work, missing, jobs, words):
-            rows[row.seed] = row
+        for (_, seed), (row, flights, losses) in spread.in_any_order(_fly, works, args, words):
+            rows[seed] = row
             if file is not None:
+                parquet.write(folder / f"{city.name}-{seed}-flights.parquet", flights)
+                parquet.write(folder / f"{city.name}-{seed}-losses.parquet", losses)
                 file.add([row])
             advance()
     found = [rows[seed] for seed in seeds]
@@ -204,12 +203,9 @@ def fly_missing(
     return found, len(missing)
 
 
-def _fly(city: City, folder: Path | None, seed: int) -> Row:
-    row, result = cells.fly(city, seed)
-    if folder is not None:
-        parquet.write_flights(folder / f"{city.name}-{seed}-flights.parquet", result)
-        parquet.write_losses(folder / f"{city.name}-{seed}-losses.parquet", result)
-    return row
+def _fly(work: tuple[City, int]) -> tuple[Row, parquet.Columns, parquet.Columns]:
+    row, result = cells.fly(*work)
+    return row, parquet.flights_of(result), parquet.losses_of(result)
 
 
 def summary(rows: Sequence[Row]) -> dict[str, Any]:

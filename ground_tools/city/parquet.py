@@ -86,31 +86,36 @@ def write_study(path: Path, cells: Sequence[tuple[City, str, float, Sequence[Row
     _write(path, columns, {})
 
 
-def write_flights(path: Path, result: Result) -> None:
-    """Write the flights of a run, one row each. Infinite values and NaN become empty.
+Columns = dict[str, Any]
+"""Columns of a table by their names, of the same length."""
 
-    Raises:
-        ConfigError: the file cannot be written.
-    """
+
+def flights_of(result: Result) -> Columns:
+    """The flights of a run, one row each. Infinite values and NaN are written as empty."""
     tally = result.state.tally.flights
     columns: dict[str, Any] = {"flight": np.arange(len(tally))}
     columns["purpose"] = [PURPOSES[p] for p in result.purpose.tolist()]
     columns["due_s"], columns["waited_s"] = result.due_s, result.waited_s
     columns |= {name: tally[:, column] for name, column in _FLIGHTS.items()}
     columns["mean_deviation_m"] = tally[:, measure.T_GAP_SUM] / np.maximum(tally[:, measure.T_STEPS], 1.0)
-    _write(path, columns, {})
+    return columns
 
 
-def write_losses(path: Path, result: Result) -> None:
-    """Write the losses of separation of a run, one row each.
-
-    Raises:
-        ConfigError: the file cannot be written.
-    """
+def losses_of(result: Result) -> Columns:
+    """The losses of separation of a run, one row each."""
     losses = result.state.tally.losses[: int(result.state.tally.number[0])]
     columns: dict[str, Any] = {name: losses[:, column] for name, column in _LOSSES.items()}
     columns |= {name: columns[name].astype(int) for name in ("first", "second")}
     columns["terminal"] = columns["terminal"] != 0.0
+    return columns
+
+
+def write(path: Path, columns: Columns) -> None:
+    """Write one table.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
     _write(path, columns, {})
 
 

@@ -139,9 +139,13 @@ def _flown() -> list[Entry]:
 
 def _cities() -> list[Entry]:
     from ground_tools.city.cells import ROOTS
-    from ground_tools.paper.city.runs import COMMAND, DATA, PACKAGES
+    from ground_tools.city.spread import DATA
+    from ground_tools.paper.city.runs import COMMAND, PACKAGES, SEPARATION_COMMAND
 
-    return [Entry("results/city-paper/runs.jsonl", COMMAND, ROOTS, _city, DATA, PACKAGES)]
+    return [
+        Entry(f"results/{study}/runs.jsonl", command, ROOTS, _city, DATA, PACKAGES)
+        for study, command in (("city-paper", COMMAND), ("city-separation", SEPARATION_COMMAND))
+    ]
 
 
 def _trained() -> list[Entry]:

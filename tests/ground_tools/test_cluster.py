@@ -16,6 +16,8 @@ from rich.console import Console
 
 from companion.errors import ConfigError
 from ground_tools import cli
+from ground_tools.city.cells import City, Row, fly
+from ground_tools.city.traffic.demand import Demand
 from ground_tools.common.cluster import on_ray
 from tests.support.encounter_models import TINY
 
@@ -93,6 +95,38 @@ def test_encounters_with_crewed_aircraft_are_those_of_this_machine(address, tmp_
     assert len(kept.read_text().splitlines()) == 121
 
 
+CITY = ["city", "--density", "20", "--size", "1", "1", "--minutes", "0.5", "--settle", "5", "--seeds", "1-3"]
+
+
+def test_cities_are_those_of_this_machine(address, tmp_path, capsys):
+    for folder, options in (("here", ["--jobs", "1"]), ("there", ["--ray", address])):
+        assert cli.main([*CITY, "--json", "--out", str(tmp_path / folder), *options]) == 0
+    here, there = map(json.loads, capsys.readouterr().out.splitlines())
+    assert here["flown"] == there["flown"] == 3
+    assert here["flight_h"] > 0.1
+    assert {**here, "wall_s": 0.0} == {**there, "wall_s": 0.0}
+    (kept,) = (tmp_path / "here").glob("*.jsonl")
+    lines = (tmp_path / "there" / kept.name).read_text().splitlines()
+    assert sorted(lines) == sorted(kept.read_text().splitlines())
+    tables = {path.name for path in (tmp_path / "here").glob("*.parquet")}
+    assert len(tables) == 7
+    assert tables == {path.name for path in (tmp_path / "there").glob("*.parquet")}
+
+
+def city_killed_once(marker: str) -> Row:
+    """Fly a city in a worker that is killed the first time."""
+    return fly(City(demand=Demand(north_m=1000.0, east_m=1000.0), duration_s=10.0), len(killed_once(marker)))[
+        0
+    ]
+
+
+def test_a_city_whose_worker_was_killed_is_the_same(address, tmp_path):
+    words, marker = io.StringIO(), str(tmp_path / "marker")
+    ((_, row),) = on_ray(city_killed_once, [marker], address, state, Console(file=words))
+    assert "A worker was lost" in words.getvalue()
+    assert row == city_killed_once(marker)
+
+
 def test_a_lost_worker_is_reported_and_its_work_repeated(address, tmp_path):
     words = io.StringIO()
     marker = str(tmp_path / "marker")
@@ -135,6 +169,13 @@ def test_ctrl_c_keeps_what_was_flown_on_the_cluster(address, tmp_path):
 def test_a_wrong_address_is_reported(options, words, capsys):
     assert cli.main([*RUN, *options]) == 2
     assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [CITY, ["paper", "city"], ["paper", "city-separation"]])
+def test_cities_take_one_of_jobs_and_a_cluster(command, tmp_path, capsys):
+    options = ["--ray", "10.0.0.5:6379", "--jobs", "2", "--out", str(tmp_path)]
+    assert cli.main([*command, *options]) == 2
+    assert "--jobs cannot be combined with --ray" in capsys.readouterr().err
 
 
 def test_an_address_without_an_answer_is_reported(capsys):

@@ -20,11 +20,11 @@ from rich.console import Console
 from companion.errors import ConfigError
 from companion.shipped import given, how_to_install
 from ground_tools.channel import options
-from ground_tools.city import parquet
+from ground_tools.city import parquet, spread
 from ground_tools.city.cells import City, Row
 from ground_tools.city.traffic.demand import PATTERNS
 from ground_tools.common.figure import drawn
-from ground_tools.common.run_options import processes_of, seeds_of
+from ground_tools.common.run_options import seeds_of
 from ground_tools.paper.city import capacity, picture, runs, table
 from ground_tools.paper.city.grid import METHODS, Cell, Grid, inside, ranges_of
 from ground_tools.paper.city.verdict import sentences, verdicts
@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"simulated time at which counting begins (default: {grid.settle_s:g})")  # fmt: skip
     add("--out", type=Path, default=Path("runs/paper/city"), metavar="FOLDER",
         help="folder of runs, table.md, table.csv and city.png (default: runs/paper/city)")  # fmt: skip
-    add("--jobs", type=int, metavar="N", help="runs at the same time (default: one per core)")
+    spread.add_options(parser)
     add("--json", action="store_true", help="print one JSON object per line instead of tables")
     parser.set_defaults(run=run)
 
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
-    grid, jobs = grid_of(args), processes_of(args.jobs, "jobs")
+    grid, jobs = grid_of(args), spread.jobs_of(args)
     words = Console(stderr=args.json)
     words = words if words.is_terminal else Console(stderr=args.json, width=_PIPED_WIDTH)
     out: Path = args.out
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     with drawn(path, picture.size_in(len(grid.loads)), dpi=80) if draws else nullcontext() as figure:
         if missing:
             words.print(runs.estimate(missing, jobs), highlight=False, soft_wrap=True)
-            runs.fly_missing(file, missing, jobs, words, f"ground-tools paper city{grid.options} --out {out}")
+            runs.fly_missing(file, missing, args, words, f"ground-tools paper city{grid.options} --out {out}")
         rows = runs.rows_of(grid, file.rows)
         if draws:
             picture.draw(figure, rows)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
-import os
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -15,20 +15,19 @@ from typing import Any, Final
 import msgspec
 from rich.console import Console
 
-from ground_tools.city.cells import CHANNEL, POLICY, ROOTS, City, Row, fly
+from ground_tools.city import spread
+from ground_tools.city.cells import ROOTS, City, Row, fly
+from ground_tools.city.spread import DATA
 from ground_tools.common import provenance
 from ground_tools.common.kept_lines import Kept, read_lines
 from ground_tools.common.progress import progress
 from ground_tools.common.provenance import Provenance
-from ground_tools.common.workers import in_parallel
 from ground_tools.paper.city.grid import START_S, Cell, Grid, cost_s
 
 FILE: Final = "runs.jsonl"
-DATA: Final = (CHANNEL, POLICY, "config/regions/us.toml", "config/regions/eu.toml")
-"""Data files on which runs depend, by their paths in the checkout."""
 PACKAGES: Final = ("numpy", "numba")
 COMMAND: Final = "ground-tools paper city --out results/city-paper"
-_THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+SEPARATION_COMMAND: Final = "ground-tools paper city-separation --out results/city-separation"
 _TOLD_S: Final = 60.0
 """Interval between lines about the progress, if no progress bar can be shown."""
 
@@ -106,17 +105,28 @@ def rows_of(grid: Grid, runs: Mapping[int, Run]) -> dict[Cell, list[Row]]:
     return found
 
 
-def estimate(works: list[Work], jobs: int) -> str:
-    """The expected cost of the missing runs, as text."""
-    cpu_s = sum(work.cost_s for work in works) + START_S * min(jobs, len(works))
+def estimate(works: list[Work], jobs: int | None) -> str:
+    """The expected cost of the missing runs, as text.
+
+    Args:
+        jobs: number of runs at the same time; None on a cluster, whose CPUs are not known here.
+    """
+    cpu_s = sum(work.cost_s for work in works) + START_S * min(jobs or 1, len(works))
+    at_once = f", {_minutes(cpu_s / jobs)} with {jobs} at a time" if jobs else ""
     return (
-        f"{len(works)} runs are to be flown: about {_minutes(cpu_s)} of CPU time, {_minutes(cpu_s / jobs)} "
-        f"with {jobs} at a time. Finished runs are kept."
+        f"{len(works)} runs are to be flown: about {_minutes(cpu_s)} of CPU time{at_once}. "
+        "Finished runs are kept."
     )
 
 
-def fly_missing(file: Kept[Run], works: list[Work], jobs: int, words: Console, command: str) -> None:
+def fly_missing(
+    file: Kept[Run], works: list[Work], args: argparse.Namespace, words: Console, command: str
+) -> None:
     """Fly runs and store each as soon as it is finished, with a provenance record beside the file.
+
+    Args:
+        args: options of `spread.add_options`.
+        command: the command, for the record.
 
     Raises:
         ConfigError: a file cannot be written, or its runs were flown by other software.
@@ -126,14 +136,9 @@ def fly_missing(file: Kept[Run], works: list[Work], jobs: int, words: Console, c
     # Open the file now, not after the first run: it is refused if its runs were flown by other software.
     file.add([])
     provenance.write(file.path, made_by_now(command))
-    # A policy's matrices are small: with several NumPy threads, which wait for each other, it took four times
-    # the CPU time. Worker processes obey these variables. A single worker runs in this process, whose NumPy
-    # has read them before.
-    for name in _THREADS:
-        os.environ.setdefault(name, "1")
     told = _teller(works, words)
     with progress("runs", len(works)) as advance:
-        for work, row in in_parallel(_fly, works, jobs, words):
+        for work, row in spread.in_any_order(_fly, works, args, words):
             file.add([Run(work.city, row)])
             told(work)
             advance()

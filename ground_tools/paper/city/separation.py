@@ -24,9 +24,10 @@ from rich.console import Console
 from companion.errors import ConfigError
 from companion.shipped import how_to_install
 from ground_tools.channel import options
+from ground_tools.city import spread
 from ground_tools.city.cells import City, Row
 from ground_tools.common.figure import drawn
-from ground_tools.common.run_options import processes_of, seeds_of
+from ground_tools.common.run_options import seeds_of
 from ground_tools.paper.city import runs
 from ground_tools.paper.city.grid import METHODS, NOBODY, Cell, Grid
 from ground_tools.paper.city.numbers import LOSSES, MEASURES, estimate
@@ -235,7 +236,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"simulated time at which counting begins (default: {grid.settle_s:g})")  # fmt: skip
     add("--out", type=Path, default=Path("runs/paper/city-separation"), metavar="FOLDER",
         help="folder of runs, table.md and picture (default: runs/paper/city-separation)")  # fmt: skip
-    add("--jobs", type=int, metavar="N", help="runs at the same time (default: one per core)")
+    spread.add_options(parser)
     add("--json", action="store_true", help="print one JSON object per line instead of a table")
     parser.set_defaults(run=run)
 
@@ -271,7 +272,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
-    plan, jobs = plan_of(args), processes_of(args.jobs, "jobs")
+    plan, jobs = plan_of(args), spread.jobs_of(args)
     words = Console(stderr=args.json)
     words = words if words.is_terminal else Console(stderr=args.json, width=_PIPED_WIDTH)
     out: Path = args.out
@@ -283,7 +284,7 @@ def run(args: argparse.Namespace) -> int:
     with drawn(path, (9.0, 6.5), dpi=90) if draws else nullcontext() as figure:
         if missing:
             words.print(runs.estimate(missing, jobs), highlight=False, soft_wrap=True)
-            runs.fly_missing(file, missing, jobs, words, f"ground-tools paper {NAME} --out {out}")
+            runs.fly_missing(file, missing, args, words, f"ground-tools paper {NAME} --out {out}")
         points = plan.points(file.rows)
         if draws:
             draw(figure, points)
