@@ -45,11 +45,15 @@ METHODS: Final = {
     "fixed": Method("best fixed legal set", {"transports": "fixed"}, (62, 121, 135, 134)),
     "rule": Method("rule", {"transports": "rule"}, (64, 128, 138, 136)),
     "policy": Method("policy", {"transports": "policy"}, (74, 152, 174, 152)),
+    "ideal": Method(
+        "ideal radio", {"knows": "given", "delay_s": (0.0, 0.0)}, (37, 83, 266, 482), talks=False
+    ),
     PERFECT: Method("perfect information", {"knows": "perfect"}, (37, 43, 49, 68), talks=False),
     NOBODY: Method("nobody avoids", {"law": "none", "knows": "perfect"}, (30, 27, 25, 26), talks=False),
 }
-"""The methods. The three single transports ignore the region's rules: BLE 4 or BLE 5 alone is legal
-nowhere."""
+"""The methods. The three single transports ignore the region's rules: BLE 4 or BLE 5 alone is legal nowhere.
+With the ideal radio every message, one a second, arrives at once at all within 2 km. With perfect information
+the law knows the true state of everybody at every decision; it has no tracks then, and so no growth."""
 _COSTS_AT: Final = (1.0, 10.0, 30.0, 100.0)
 
 

@@ -177,7 +177,8 @@ def json_rows(points: Points, found: Mapping[Point, Judged]) -> list[dict[str, A
 def draw(figure: Any, points: Points) -> None:
     """Draw the losses against the distance from the timed point: one line for each method."""
     axes = figure.add_subplot()
-    for method in dict.fromkeys(point.method for point in points):
+    for number, method in enumerate(dict.fromkeys(point.method for point in points)):
+        above = number % 2 == 0  # so that the texts of two methods at one place do not cover each other
         places, values, names = [], [], []
         for point, rows in points.items():
             loss, room = estimate(rows, LOSSES), estimate(rows, _DEVIATION)
@@ -191,7 +192,8 @@ def draw(figure: Any, points: Points) -> None:
         axes.plot(places, values, color=COLOURS[method], marker=MARKS[method], label=METHODS[method].words)
         for x, y, (separation_m, any_loss) in zip(places, values, names, strict=True):
             text = f"{separation_m:g} m" if separation_m else ""
-            axes.annotate(text if any_loss else f"{text}, none", (x, y), fontsize=8, xytext=(4, 4),
+            axes.annotate(text if any_loss else f"{text}, none", (x, y), fontsize=8,
+                          xytext=(4, 5 if above else -11), color=COLOURS[method],
                           textcoords="offset points")  # fmt: skip
     axes.set_yscale("log")
     axes.set_xlabel("mean distance from the timed point (m)")

@@ -52,9 +52,9 @@ def test_the_area_follows_from_the_number_of_aircraft():
 
 def test_methods_without_radio_fly_once_for_all_loads():
     grid = Grid(densities=(10.0,), seeds=range(1, 3))
-    assert len(list(grid.cells())) == 16
+    assert len(list(grid.cells())) == 18
     works = runs.missing(grid, {})
-    assert len(works) == 2 * (2 * 6 + 2)
+    assert len(works) == 2 * (2 * 6 + 3)
     assert len({(work.city.name, work.seed) for work in works}) == len(works)
     assert [work.cost_s for work in works] == sorted((work.cost_s for work in works), reverse=True)
     assert grid.city(Cell(0.0, 10.0, "none")) == grid.city(Cell(0.6, 10.0, "none"))
@@ -64,7 +64,7 @@ def test_methods_without_radio_fly_once_for_all_loads():
 
 def test_the_estimate_is_of_the_whole_grid():
     works = runs.missing(Grid(), {})
-    assert len(works) == 5 * 3 * (2 * 6 + 2)
+    assert len(works) == 5 * 3 * (2 * 6 + 3)
     hours = sum(work.cost_s for work in works) / 3600.0
     assert 0.5 < hours < 3.0
     assert f"{len(works)} runs" in runs.estimate(works, 2)
@@ -334,9 +334,9 @@ def test_the_density_at_a_distance_is_interpolated_while_losses_are_prevented():
 
 def test_the_page_shows_the_kept_runs():
     """These are the kept runs; nothing is flown here."""
-    grid = Grid(aircraft=120, duration_s=60.0, settle_s=20.0, seeds=range(1, 3))
+    grid = Grid()
     rows = runs.rows_of(grid, runs.kept(KEPT.parent).rows)
-    assert {cell: len(found) for cell, found in rows.items()} == dict.fromkeys(grid.cells(), 2)
+    assert {cell: len(found) for cell, found in rows.items()} == dict.fromkeys(grid.cells(), 3)
     page = (ROOT / "docs" / "city-results.md").read_text()
     assert table.brief(rows) in page
     assert f"ground-tools paper city{grid.options} --out results/city-paper" in page
@@ -348,5 +348,7 @@ def test_the_page_shows_the_kept_runs():
         assert [m for m in METHODS if m != "perfect" and found["perfect", load, m].at("missed")] == [
             "ble5", "wifi", "none",
         ]  # fmt: skip
-        kept = [m for m in METHODS if m != "none" and found["prevented", load, m].at("kept") == [100]]
-        assert kept == ["ble4", "fixed", "rule", "policy"]
+        kept = [
+            m for m in METHODS if m != "none" and found["prevented", load, m].at("kept") == [3, 10, 30, 100]
+        ]
+        assert kept == ["ble4", "fixed", "rule", "policy", "ideal"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +14,7 @@ from ground_tools.paper.city.grid import Grid
 from ground_tools.paper.city.separation import Plan, Point, draw, judged, markdown, needed, sentences
 from tests.ground_tools.paper.made_city import SILENT, three
 
+ROOT = Path(__file__).parents[3]
 NOBODY = Point("none", 0.0)
 
 
@@ -117,3 +119,18 @@ def test_the_command_flies_what_is_missing_once(tmp_path, capsys):
     again = capsys.readouterr()
     assert again.out == captured.out
     assert "are to be flown" not in again.err
+
+
+def test_the_page_shows_the_kept_runs():
+    """These are the kept runs; nothing is flown here."""
+    folder = ROOT / "results" / "city-separation"
+    grid = Grid(densities=(100.0,), methods=("ble4", "policy", "perfect"), loads=(0.0,))
+    points = Plan(grid, separation.SEPARATIONS).points(runs.kept(folder).rows)
+    assert [len(rows) for rows in points.values()] == [3] * 16
+    found = judged(points, separation.SHARE)
+    page = (ROOT / "docs" / "city-results.md").read_text()
+    assert markdown(points, found) in page
+    assert (folder / "table.md").read_text() == markdown(points, found)
+    assert needed(points, found, "ble4") == Point("ble4", 7.0)
+    assert needed(points, found, "policy") == Point("policy", 10.0)
+    assert needed(points, found, "perfect") is None
