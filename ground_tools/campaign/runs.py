@@ -12,14 +12,13 @@ import numba
 import numpy as np
 from rich.console import Console
 
-from companion.errors import ConfigError
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign.cells import Cell, Row
 from ground_tools.channel import options
 from ground_tools.common.cluster import on_ray
 from ground_tools.common.intervals import wilson
 from ground_tools.common.progress import progress
-from ground_tools.common.run_options import processes_of
+from ground_tools.common.run_options import add_ray, processes_unless_ray
 from ground_tools.common.workers import in_parallel
 
 _AIRCRAFT_AT_ONCE = 500
@@ -45,11 +44,7 @@ def add_common(command: argparse.ArgumentParser, seeds: str) -> None:
     command.add_argument(
         "--processes", type=int, metavar="N", help="worker processes (default: one per core)"
     )
-    command.add_argument(
-        "--ray",
-        metavar="ADDRESS",
-        help="fly on a Ray cluster: HOST:PORT on a machine of the cluster, ray://HOST:PORT elsewhere",
-    )
+    add_ray(command)
 
 
 def fly_missing(
@@ -87,8 +82,8 @@ def fly_missing(
 
 def work_of(args: argparse.Namespace, words: Console) -> Work:
     """The function that runs the work: in processes on this machine, or on a cluster."""
-    if args.ray is None:
-        processes = processes_of(args.processes)
+    processes = processes_unless_ray(args.processes, args.ray)
+    if processes is not None:
 
         def here(parts: Sequence[Part]) -> Iterator[tuple[Part, list[Row]]]:
             first = {cell.law.partition(":")[0]: (cell, seeds) for cell, seeds in reversed(parts)}
@@ -97,8 +92,6 @@ def work_of(args: argparse.Namespace, words: Console) -> Work:
             return in_parallel(_fly, parts, processes, words)
 
         return here
-    if args.processes is not None:
-        raise ConfigError("--processes cannot be combined with --ray, which uses all CPUs of the cluster")
     return lambda parts: on_ray(_fly, parts, args.ray, _state, words)
 
 

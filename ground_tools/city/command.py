@@ -180,6 +180,7 @@ def fly_missing(
     Raises:
         ConfigError: a file cannot be read or written, or a setting cannot be used.
     """
+    spread.jobs_of(args)  # reports wrong options before a folder is made
     rows: dict[int, Row] = {}
     file, folder = None, args.out
     if folder is not None:

@@ -16,12 +16,11 @@ import numba
 import numpy as np
 from rich.console import Console
 
-from companion.errors import ConfigError
 from ground_tools.city.cells import CHANNEL, POLICY, ROOTS, City, fly
 from ground_tools.city.traffic.demand import Demand
 from ground_tools.common import provenance
 from ground_tools.common.cluster import on_ray
-from ground_tools.common.run_options import processes_of
+from ground_tools.common.run_options import add_ray, processes_unless_ray
 from ground_tools.common.workers import in_parallel
 
 Item = TypeVar("Item")
@@ -36,11 +35,7 @@ _SMALL: Final = City(demand=Demand(per_km2=3.0, north_m=1000.0, east_m=1000.0), 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options `--jobs` and `--ray`."""
     parser.add_argument("--jobs", type=int, metavar="N", help="runs at the same time (default: one per core)")
-    parser.add_argument(
-        "--ray",
-        metavar="ADDRESS",
-        help="fly on a Ray cluster: HOST:PORT on a machine of the cluster, ray://HOST:PORT elsewhere",
-    )
+    add_ray(parser)
 
 
 def jobs_of(args: argparse.Namespace) -> int | None:
@@ -49,11 +44,7 @@ def jobs_of(args: argparse.Namespace) -> int | None:
     Raises:
         ConfigError: the number is out of range, or both options are given.
     """
-    if args.ray is None:
-        return processes_of(args.jobs, "jobs")
-    if args.jobs is not None:
-        raise ConfigError("--jobs cannot be combined with --ray, which uses all CPUs of the cluster")
-    return None
+    return processes_unless_ray(args.jobs, args.ray, "jobs")
 
 
 def in_any_order(

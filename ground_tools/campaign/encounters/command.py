@@ -21,7 +21,7 @@ from ground_tools.channel import options
 from ground_tools.common.cluster import on_ray
 from ground_tools.common.kept_lines import Kept
 from ground_tools.common.progress import progress
-from ground_tools.common.run_options import processes_of, seeds_of
+from ground_tools.common.run_options import add_ray, processes_unless_ray, seeds_of
 from ground_tools.common.workers import in_parallel
 
 _AT_ONCE: Final = 50
@@ -60,9 +60,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     add("--out", type=Path, metavar="FOLDER",
         help="keep results in this folder, and do not repeat encounters whose results are there")  # fmt: skip
     add("--processes", type=int, metavar="N", help="worker processes (default: one per core)")
-    add("--ray", metavar="ADDRESS",
-        help="fly on a Ray cluster: HOST:PORT on a machine of the cluster, "
-        "ray://HOST:PORT elsewhere")  # fmt: skip
+    add_ray(command)
     add("--json", action="store_true", help="print one JSON object instead of text")
     command.set_defaults(run=run)
 
@@ -122,8 +120,8 @@ def fly_missing(
 
 def _work(args: argparse.Namespace, words: Console) -> Work:
     """The function that runs the work: in processes on this machine, or on a cluster."""
-    if args.ray is None:
-        processes = processes_of(args.processes)
+    processes = processes_unless_ray(args.processes, args.ray)
+    if processes is not None:
 
         def here(parts: Sequence[Part]) -> Iterator[tuple[Part, list[Row]]]:
             if parts:
@@ -131,8 +129,6 @@ def _work(args: argparse.Namespace, words: Console) -> Work:
             return in_parallel(_fly, parts, processes, words)
 
         return here
-    if args.processes is not None:
-        raise ConfigError("--processes cannot be combined with --ray, which uses all CPUs of the cluster")
     return lambda parts: on_ray(_fly, parts, args.ray, _state, words)
 
 

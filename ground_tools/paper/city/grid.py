@@ -94,15 +94,15 @@ class Grid:
         """The command-line options that give this grid, without those at their defaults."""
         usual = Grid()
         given = {
-            "--densities": _words(self.densities, usual.densities),
-            "--methods": _words(self.methods, usual.methods),
-            "--loads": _words(self.loads, usual.loads),
-            "--seeds": _words((f"{self.seeds[0]}-{self.seeds[-1]}",), ("1-3",)),
-            "--aircraft": _words((self.aircraft,), (usual.aircraft,)),
-            "--pattern": _words((self.pattern,), (usual.pattern,)),
-            "--region": _words((self.region,), (usual.region,)),
-            "--minutes": _words((self.duration_s / 60.0,), (usual.duration_s / 60.0,)),
-            "--settle": _words((self.settle_s,), (usual.settle_s,)),
+            "--densities": words_of(self.densities, usual.densities),
+            "--methods": words_of(self.methods, usual.methods),
+            "--loads": words_of(self.loads, usual.loads),
+            "--seeds": words_of((f"{self.seeds[0]}-{self.seeds[-1]}",), ("1-3",)),
+            "--aircraft": words_of((self.aircraft,), (usual.aircraft,)),
+            "--pattern": words_of((self.pattern,), (usual.pattern,)),
+            "--region": words_of((self.region,), (usual.region,)),
+            "--minutes": words_of((self.duration_s / 60.0,), (usual.duration_s / 60.0,)),
+            "--settle": words_of((self.settle_s,), (usual.settle_s,)),
         }
         return "".join(f" {option} {words}" for option, words in given.items() if words)
 
@@ -126,7 +126,7 @@ class Grid:
         )
 
 
-def _words(values: tuple[float | str, ...], usual: tuple[float | str, ...]) -> str:
+def words_of(values: tuple[float | str, ...], usual: tuple[float | str, ...]) -> str:
     """The values of an option as text; empty if they are the defaults."""
     if values == usual:
         return ""

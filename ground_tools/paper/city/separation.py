@@ -9,27 +9,19 @@ compared at equal safety: the better the information, the smaller the separation
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import msgspec
-from rich.console import Console
 
 from companion.errors import ConfigError
-from companion.shipped import how_to_install
-from ground_tools.channel import options
 from ground_tools.city import spread
 from ground_tools.city.cells import City, Row
-from ground_tools.common.figure import drawn
-from ground_tools.common.run_options import seeds_of
-from ground_tools.paper.city import runs
-from ground_tools.paper.city.grid import METHODS, NOBODY, Cell, Grid
+from ground_tools.paper.city import runs, study
+from ground_tools.paper.city.grid import METHODS, NOBODY, Cell, Grid, words_of
 from ground_tools.paper.city.numbers import LOSSES, MEASURES, estimate
 from ground_tools.paper.city.picture import COLOURS, MARKS
 from ground_tools.paper.city.table import text_of
@@ -65,6 +57,19 @@ class Plan:
 
     grid: Grid
     separations: tuple[float, ...]
+
+    @property
+    def options(self) -> str:
+        """The command-line options that give this plan, without those at their defaults."""
+        (density,), (load,), usual = self.grid.densities, self.grid.loads, Grid()
+        given = {
+            "--separations": words_of(self.separations, SEPARATIONS),
+            "--density": words_of((density,), (DENSITY,)),
+            "--load": words_of((load,), (0.0,)),
+            "--methods": words_of(self.grid.methods, _METHODS),
+        }
+        others = replace(self.grid, densities=usual.densities, loads=usual.loads, methods=usual.methods)
+        return "".join(f" {option} {words}" for option, words in given.items() if words) + others.options
 
     def cities(self) -> dict[Point, City]:
         """The city of each point."""
@@ -208,7 +213,7 @@ def draw(figure: Any, points: Points) -> None:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools paper city-separation`."""
-    add, grid = parser.add_argument, Grid()
+    add = parser.add_argument
     parser.description = (
         "Fly one density with laws that are asked to keep different separations, and show for every way to "
         "learn of other aircraft what they cost and save: losses below 10 m against distance from the timed "
@@ -227,19 +232,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--share", type=float, default=SHARE, metavar="SHARE",
         help="target: at most this share of the losses of nobody avoiding "
         f"(default: {SHARE:g})")  # fmt: skip
-    seeds = f"{grid.seeds[0]}-{grid.seeds[-1]}"
-    add("--seeds", default=seeds, metavar="FROM-TO",
-        help=f"range of seeds, one run of each point for each (default: {seeds})")  # fmt: skip
-    add("--aircraft", type=int, default=grid.aircraft, metavar="N",
-        help=f"aircraft in the air, which determine the area (default: {grid.aircraft})")  # fmt: skip
-    add("--minutes", type=float, default=grid.duration_s / 60.0, metavar="N",
-        help=f"length of a run (default: {grid.duration_s / 60.0:g})")  # fmt: skip
-    add("--settle", type=float, default=grid.settle_s, metavar="S",
-        help=f"simulated time at which counting begins (default: {grid.settle_s:g})")  # fmt: skip
-    add("--out", type=Path, default=Path("runs/paper/city-separation"), metavar="FOLDER",
-        help="folder of runs, table.md and picture (default: runs/paper/city-separation)")  # fmt: skip
-    spread.add_options(parser)
-    add("--json", action="store_true", help="print one JSON object per line instead of a table")
+    study.add_options(parser, NAME, f"table.md and {NAME}.png")
     parser.set_defaults(run=run)
 
 
@@ -249,23 +242,20 @@ def plan_of(args: argparse.Namespace) -> Plan:
     Raises:
         ConfigError: an option is out of range.
     """
-    from ground_tools.paper.city.command import checked
-
     for separation_m in args.separations:
         if not 0.0 < separation_m <= 100.0:
             raise ConfigError(f"--separations: {separation_m:g} is out of range; allowed: above 0, up to 100")
     if not 0.0 < args.share < 1.0:
         raise ConfigError(f"--share: {args.share:g} is out of range; allowed: between 0 and 1")
-    grid = Grid(
+    grid = study.grid_of(
+        args,
+        "--density",
+        "--load",
         densities=(args.density,),
         methods=tuple(method for method in _METHODS if method in args.methods),
         loads=(args.load,),
-        seeds=seeds_of(args.seeds),
-        aircraft=args.aircraft,
-        duration_s=60.0 * args.minutes,
-        settle_s=args.settle,
     )
-    return Plan(checked(grid, "--density", "--load"), tuple(sorted(set(args.separations))))
+    return Plan(grid, tuple(sorted(set(args.separations))))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -274,21 +264,14 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
-    plan, jobs = plan_of(args), spread.jobs_of(args)
-    words = Console(stderr=args.json)
-    words = words if words.is_terminal else Console(stderr=args.json, width=_PIPED_WIDTH)
-    out: Path = args.out
-    options.make_folder(out)
-    file = runs.kept(out)
-    missing = plan.missing(file.rows)
-    draws = importlib.util.find_spec("matplotlib") is not None
+    plan, words, out = plan_of(args), study.console_of(args), args.out
+    spread.jobs_of(args)  # reports wrong options before a folder is made
+    file = study.opened(out)
     path = out / f"{NAME}.png"
-    with drawn(path, (9.0, 6.5), dpi=90) if draws else nullcontext() as figure:
-        if missing:
-            words.print(runs.estimate(missing, jobs), highlight=False, soft_wrap=True)
-            runs.fly_missing(file, missing, args, words, f"ground-tools paper {NAME} --out {out}")
+    with study.figure(path, (9.0, 6.5)) as figure:
+        study.fly(file, plan.missing(file.rows), args, words, f"ground-tools paper {NAME}{plan.options}")
         points = plan.points(file.rows)
-        if draws:
+        if figure is not None:
             draw(figure, points)
     found = judged(points, args.share)
     if args.json:
@@ -297,13 +280,5 @@ def run(args: argparse.Namespace) -> int:
     else:
         for text in (*markdown(points, found).splitlines(), *sentences(points, found, args.share)):
             words.print(text, highlight=False, soft_wrap=True, markup=False)
-    table = out / "table.md"
-    try:
-        table.write_text(markdown(points, found))
-    except OSError as error:
-        raise ConfigError(f"--out: {table}: cannot be written: {error.strerror}") from error
-    words.print(f"wrote {', '.join(map(str, [table, *([path] if draws else [])]))}", soft_wrap=True,
-                highlight=False, markup=False)  # fmt: skip
-    if not draws:
-        words.print(f"no picture: {how_to_install('matplotlib', 'inspect')}", soft_wrap=True, markup=False)
+    study.tell_files(words, [study.write(out / "table.md", markdown(points, found))], path)
     return 0

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from ground_tools import cli
+from ground_tools.common import provenance
 from ground_tools.common.figure import styled
 from ground_tools.paper.city import runs, separation
 from ground_tools.paper.city.grid import Grid
@@ -134,3 +135,22 @@ def test_the_page_shows_the_kept_runs():
     assert needed(points, found, "ble4") == Point("ble4", 7.0)
     assert needed(points, found, "policy") == Point("policy", 10.0)
     assert needed(points, found, "perfect") is None
+
+
+def test_the_record_names_the_options_that_make_the_runs_again(tmp_path):
+    words = ["--density", 8, "--aircraft", 12, "--minutes", 0.5, "--settle", 10, "--methods", "perfect",
+             "--separations", 5, "--seeds", "1-1", "--jobs", 1, "--out", tmp_path]  # fmt: skip
+    assert command(*words) == 0
+    record = provenance.read(tmp_path / runs.FILE)
+    assert record is not None
+    options = (
+        "--separations 5 --density 8 --methods perfect --seeds 1-1 --aircraft 12 --minutes 0.5 --settle 10"
+    )
+    assert record.command == f"ground-tools paper city-separation {options} --out {tmp_path}"
+
+
+def test_the_kept_command_is_that_of_its_plan():
+    grid = Grid(densities=(100.0,), methods=("ble4", "policy", "perfect"), loads=(0.0,))
+    options = Plan(grid, separation.SEPARATIONS).options
+    made = f"ground-tools paper city-separation{options} --out results/city-separation"
+    assert made == runs.SEPARATION_COMMAND
