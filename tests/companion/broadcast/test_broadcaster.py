@@ -346,3 +346,16 @@ def test_ble4_begins_with_its_name(make_bench, rate, period_s):
     assert max(b - a for a, b in pairwise(first_s)) <= period_s + 0.051
     later = [b - a for a, b in pairwise(s for s in named_s if s > 3.05)]
     assert min(later) > 0.7
+
+
+def test_a_higher_rate_takes_effect_at_once(make_bench):
+    bench = make_bench()
+    bench.core.broadcaster.ask({"wifi": 1})
+    bench.extra = [RadioState(can_send=("wifi",), wifi_channel=6)]
+    while not any(hasattr(c, "transport") for c in bench.step(1)):
+        pass
+    bench.step(22)  # the next Location is due in about a second
+    while not any(hasattr(c, "transport") for c in bench.step(1)):
+        pass
+    bench.core.broadcaster.ask({"wifi": 10})
+    assert any(hasattr(c, "transport") for c in bench.step(3))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -148,6 +149,38 @@ def test_mvp_returns_after_the_closest_approach_only():
     ):
         relative = ned(*(np.array(other) - np.array(own)))
         assert mvp.passed.py_func(away, relative, own, other, p) == clear
+
+
+@pytest.mark.parametrize("speed_mps", [50.0, 3.0])
+def test_mvp_adds_the_changes_of_all_conflicts_and_keeps_the_greatest_speed(speed_mps):
+    """The vertical part has priority, and the horizontal part keeps its direction."""
+    p = laws.PEERS["mvp"].best._replace(radius_m=16.0, height_m=16.0, look_s=15.0, level=0.0)
+    law = SimpleNamespace(speed_mps=speed_mps, climb_mps=2.0, descent_mps=2.0)
+    velocity, wanted = ned(1.0, 3.0, 0.0), ned(0.0, 3.0, 0.0)
+    others = [(ned(4.0, 60.0, 6.0), ned(0.0, -3.0, 0.0)), (ned(40.0, 40.0, 5.0), ned(-3.0, 0.0, -0.1))]
+    own = k.Own(ned(0.0, 0.0, 0.0), velocity, 1.0, 7.0, 7.0, math.inf, -math.inf)
+    mind = SimpleNamespace(
+        notes=np.zeros((3, 3 + 6)), senders=[1, 2], neighbours=np.zeros((2, k.OTHER_COLUMNS))
+    )
+    expected = np.array(velocity)
+    for row, (away, moves) in enumerate(others):
+        known = k.Other(*away, *moves, *[0.0] * (k.OTHER_COLUMNS - 6))._replace(vertical_known=1.0)
+        k.put_other(mind.neighbours, row, known)
+        relative = ned(*(np.array(moves) - np.array(velocity)))
+        met = mvp.detect.py_func(away, relative, p)
+        assert met.conflict
+        expected = expected + np.array(mvp.change.py_func(away, relative, met, p))
+    assert expected[2] < -0.1  # above both of them
+    mvp._resolve.py_func(mind, 0, 2, own, wanted, p, law)
+    begun, at_s, active, *flown = mind.notes[0, 3:]
+    assert (begun, at_s, active) == (1.0, 7.0, 1.0)
+    assert mind.notes[0, :3].tolist() == [0.0, 1.0, 1.0]
+    down = max(expected[2], -2.0)
+    assert flown[2] == pytest.approx(down)
+    level = np.hypot(*expected[:2])
+    room = math.sqrt(speed_mps**2 - down**2)
+    assert (level > room) == (speed_mps == 3.0)
+    assert flown[:2] == pytest.approx(expected[:2] * min(1.0, room / level))
 
 
 def test_the_threats_and_the_way_of_fly_away_are_those_of_ardupilot():

@@ -327,6 +327,8 @@ def test_the_density_at_a_distance_is_interpolated_while_losses_are_prevented():
     assert "| Wi-Fi at 10 | < 1 | 3.5 | > 10 |" in text
     assert "| BLE 5 at 10 | - | - | - |" in text
     assert "nobody avoids" not in text
+    alone = {cell: rows for cell, rows in cells.items() if cell.method != "none"}
+    assert capacity.markdown(alone) == ""
 
 
 # ---------------------------------------------------------------- what ships

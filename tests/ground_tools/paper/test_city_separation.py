@@ -139,14 +139,14 @@ def test_the_page_shows_the_kept_runs():
 
 def test_the_record_names_the_options_that_make_the_runs_again(tmp_path):
     words = ["--density", 8, "--aircraft", 12, "--minutes", 0.5, "--settle", 10, "--methods", "perfect",
-             "--separations", 5, "--seeds", "1-1", "--jobs", 1, "--out", tmp_path]  # fmt: skip
+             "--separations", 5, "--seeds", "1-1", "--jobs", 1, "--out", tmp_path / "new"]  # fmt: skip
     assert command(*words) == 0
-    record = provenance.read(tmp_path / runs.FILE)
+    record = provenance.read(tmp_path / "new" / runs.FILE)
     assert record is not None
     options = (
         "--separations 5 --density 8 --methods perfect --seeds 1-1 --aircraft 12 --minutes 0.5 --settle 10"
     )
-    assert record.command == f"ground-tools paper city-separation {options} --out {tmp_path}"
+    assert record.command == f"ground-tools paper city-separation {options} --out {tmp_path}/new"
 
 
 def test_the_kept_command_is_that_of_its_plan():
