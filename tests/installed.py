@@ -74,7 +74,7 @@ UNTRIED: Final = {
     r"listen .*hci=": "a radio",
     r"companion remote-id decode capture": "a capture",
     r"ground-tools fly": "a vehicle, and the extra fly",
-    r"ground-tools atmc (train|evaluate|freeze)": "the extra train, and hours",
+    r"ground-tools atmc (train|evaluate|freeze|sweep|crosscheck)": "the extra train, and hours",
     r"campaign (attacks|table|fences|peers)": "many minutes even with the smallest numbers",
     r"--sweep": "many minutes even with the smallest numbers",
     r"--schedule": "a file that only a failed examination writes",

@@ -26,13 +26,14 @@ from ground_tools.atmc.env.torch_setup import set_up_torch
 from ground_tools.common.progress import progress
 
 if TYPE_CHECKING:
-    from ground_tools.atmc.env.paper_task import Measured
+    from ground_tools.atmc.env.paper_task import Choose, Measured
     from ground_tools.atmc.learners.stack import Stack
     from ground_tools.atmc.learners.training import Job
 
 _OUT = Path(CONVERGENCE.name) if CHECKOUT is None else CONVERGENCE
 """Default of --out. An installed copy writes to the working folder; its own results stay unchanged."""
-_FLEETS = 250
+FLEETS = 250
+"""Fleets that are measured at the same time in each square."""
 _SEED = 3_000_017
 """Seed of the measurement. No run and no validation set uses it."""
 _DIGITS = 4
@@ -71,9 +72,9 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ConfigError: A folder is not a finished run, the file cannot be written, or --add does not fit it.
     """
-    if args.configurations < _FLEETS or args.configurations % _FLEETS:
+    if args.configurations < FLEETS or args.configurations % FLEETS:
         raise ConfigError(
-            f"--configurations: {args.configurations} is not allowed; allowed: multiples of {_FLEETS}"
+            f"--configurations: {args.configurations} is not allowed; allowed: multiples of {FLEETS}"
         )
     set_up_torch()
     held = _held(args) if args.add else {}
@@ -175,7 +176,10 @@ def _run(trained: _Trained, configurations: int) -> Run:
     """Measure one run."""
     job, rows = trained.job, trained.rows
     uavs = range(job.settings.task.uavs)
-    best, last = (_measured(stack, job, configurations) for stack in (trained.best, trained.last))
+    best, last = (
+        measured(_greedy(stack), job.settings.task.uavs, configurations)
+        for stack in (trained.best, trained.last)
+    )
     return Run(
         algorithm=job.algorithm,
         seed=job.seed,
@@ -196,20 +200,22 @@ def _run(trained: _Trained, configurations: int) -> Run:
     )
 
 
-def _measured(stack: Stack, job: Job, configurations: int) -> Measured:
-    """Measure a policy on environments that were not used in training or validation."""
+def _greedy(stack: Stack) -> Choose:
+    return lambda seen: stack.of_all(seen).argmax(-1)
+
+
+def measured(choose: Choose, uavs: int, configurations: int) -> Measured:
+    """Measure a policy on environments that were not used in training or validation.
+
+    Args:
+        configurations: random sets of positions in each square, a multiple of `FLEETS`.
+    """
     import torch
 
     from ground_tools.atmc.env.paper_task import measure, paper_objective
 
-    return measure(
-        lambda seen: stack.of_all(seen).argmax(-1),
-        paper_objective(torch.device("cpu")),
-        job.settings.task.uavs,
-        _FLEETS,
-        configurations // _FLEETS,
-        _SEED,
-    )
+    objective = paper_objective(torch.device("cpu"))
+    return measure(choose, objective, uavs, FLEETS, configurations // FLEETS, _SEED)
 
 
 def _plain(settings: Any) -> dict[str, object]:

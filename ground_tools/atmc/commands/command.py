@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ground_tools.atmc.commands import collect, evaluate_command, freeze_command, train
+from ground_tools.atmc.commands import collect, crosscheck, evaluate_command, freeze_command, sweep, train
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,6 +15,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("evaluate", evaluate_command, "compare a policy with the baselines"),
         ("freeze", freeze_command, "write the policy file for flight from a training run"),
         ("collect", collect, "measure runs of the paper's algorithms and collect them in one file"),
+        ("sweep", sweep, "train the paper's algorithms with several settings and an equal budget"),
+        ("crosscheck", crosscheck, "train learners of another library on the paper's task, and compare them"),
     ):
         command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)
         module.add_arguments(command)

@@ -134,14 +134,23 @@ def _refuse_with_resume(args: argparse.Namespace) -> None:
 
 
 def _seeds(seed: int | None, seeds: str | None) -> Sequence[int]:
-    if seeds is None:
-        seed = 1 if seed is None else seed
-        check_seed(seed)
-        return [seed]
-    span = re.fullmatch(r"([0-9]{1,9})-([0-9]{1,9})", seeds)
+    if seeds is not None:
+        return seed_range(seeds)
+    seed = 1 if seed is None else seed
+    check_seed(seed)
+    return [seed]
+
+
+def seed_range(text: str) -> range:
+    """The seeds of an option such as `--seeds 1-5`.
+
+    Raises:
+        ConfigError: the text is not a rising range of at most 1,000 seeds.
+    """
+    span = re.fullmatch(r"([0-9]{1,9})-([0-9]{1,9})", text)
     if span is None or not 0 <= int(span[2]) - int(span[1]) < _MAX_SEEDS:
         raise ConfigError(
-            f"--seeds: {seeds} is not allowed; "
+            f"--seeds: {text} is not allowed; "
             f"allowed: a rising range of at most {_MAX_SEEDS:,} seeds, such as 1-5"
         )
     return range(int(span[1]), int(span[2]) + 1)

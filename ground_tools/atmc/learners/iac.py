@@ -7,7 +7,7 @@ to fill first.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import torch
@@ -15,7 +15,7 @@ from msgspec import Meta
 from torch import Tensor
 
 from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings
-from ground_tools.atmc.learners.paper_learner import PaperLearner
+from ground_tools.atmc.learners.paper_learner import PaperLearner, log_reward
 from ground_tools.atmc.learners.stack import Stack, clipped
 
 
@@ -35,6 +35,8 @@ class IacSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Learning rate of actors and critics."""
     entropy: Annotated[float, Meta(ge=0)] = 0.01
     """Weight of the entropy of the choices, which is subtracted from the actors' loss."""
+    reward: Literal["paper", "log"] = "paper"
+    """What the critics learn: the paper's reward in s, or `log_reward`."""
     gradient_clip: Annotated[float, Meta(gt=0)] = 0.5
     """Greatest norm of the gradient of each network."""
     hidden: tuple[Count, ...] = (256, 128)
@@ -63,7 +65,8 @@ class Iac(PaperLearner):
         for step in range(s.task.steps):
             action = self._draw(seen)
             then, reward, cost_s = self._task.step(action)
-            path.append((seen, action, reward))
+            learned = reward if s.reward == "paper" else log_reward(cost_s)
+            path.append((seen, action, learned))
             if len(path) == s.learn_every or step + 1 == s.task.steps:
                 tally.learned(self._learn(path, then))
                 path = []

@@ -22,7 +22,7 @@ and subtracts another.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import torch
@@ -31,13 +31,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings, Weight
-from ground_tools.atmc.learners.paper_learner import PaperLearner
+from ground_tools.atmc.learners.paper_learner import PaperLearner, log_reward
 from ground_tools.atmc.learners.replay_buffer import Batch, Replay
 from ground_tools.atmc.learners.stack import Stack, clipped, soft_update
 
 Rate = Annotated[float, Meta(gt=0)]
-_LEAST_DELAY_S: Final = 0.02
-"""Added to a delay before its logarithm is taken. It is shorter than any delay that matters."""
 
 
 class MaddpgSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -81,9 +79,8 @@ class MaddpgSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     exploration: Share = 0.1
     """Share of uniformly random choices once learning has begun; before that all choices are random."""
     reward: Literal["log", "standardised"] = "log"
-    """What the critics learn: minus the logarithm of the aircraft's delay plus 0.02 s, for which halving a
-    short delay counts as much as halving a long one; or the paper's reward, standardised by its mean and
-    standard deviation over the first full buffer."""
+    """What the critics learn: `log_reward`, or the paper's reward, standardised by its mean and standard
+    deviation over the first full buffer."""
     logit_cost: Weight = 1e-3
     """Weight of the mean square of the logits in the actors' loss, as in the original."""
     gradient_clip: Rate = 0.5
@@ -122,7 +119,7 @@ class Maddpg(PaperLearner):
         for step in range(s.task.steps):
             action = self._explore(seen)
             then, reward, cost_s = self._task.step(action)
-            learned = reward if s.reward == "standardised" else -(cost_s + _LEAST_DELAY_S).log()
+            learned = reward if s.reward == "standardised" else log_reward(cost_s)
             self.replay.add(seen, action, learned, then)
             if self.replay.added == s.buffer_steps and s.reward == "standardised":
                 self._scale = torch.stack([self.replay.reward.mean(), self.replay.reward.std()])

@@ -10,7 +10,7 @@ does not end the task, so its target bootstraps like every other one. The initia
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import torch
@@ -18,7 +18,7 @@ from msgspec import Meta
 from torch import Tensor
 
 from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings
-from ground_tools.atmc.learners.paper_learner import PaperLearner
+from ground_tools.atmc.learners.paper_learner import PaperLearner, log_reward
 from ground_tools.atmc.learners.replay_buffer import Replay
 from ground_tools.atmc.learners.stack import Stack, soft_update
 
@@ -40,6 +40,8 @@ class MadqnSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     first_exploration: Share = 1.0
     last_exploration: Share = 0.1
     exploration_episodes: Count = 500
+    reward: Literal["paper", "log"] = "paper"
+    """What the networks learn: the paper's reward in s, or `log_reward`."""
     hidden: tuple[Count, ...] = (256, 128)
 
 
@@ -77,7 +79,8 @@ class Madqn(PaperLearner):
         for _ in range(s.task.steps):
             action = self._explore(seen, rate)
             then, reward, cost_s = self._task.step(action)
-            self.replay.add(seen, action, reward, then)
+            learned = reward if s.reward == "paper" else log_reward(cost_s)
+            self.replay.add(seen, action, learned, then)
             if self.replay.full:
                 tally.learned(self._learn())
             tally.add(reward, cost_s)

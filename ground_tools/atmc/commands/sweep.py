@@ -1,0 +1,229 @@
+"""`ground-tools atmc sweep`: trains each of the paper's algorithms with several settings and one budget.
+
+Every algorithm gets as many configurations, episodes and seeds as the others. The first configuration of each
+is that of `ground-tools atmc train`. The runs are lines of one file (`ground_tools.common.kept_lines`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from companion.errors import ConfigError
+from companion.shipped import CHECKOUT, shipped
+from ground_tools.atmc.commands.results import NAMES
+from ground_tools.atmc.commands.train import seed_range
+from ground_tools.atmc.env.torch_setup import set_up_torch
+from ground_tools.common.kept_lines import Kept
+from ground_tools.common.progress import progress
+from ground_tools.common.run_options import processes_of
+from ground_tools.common.workers import in_parallel
+
+KEPT: Final = shipped("results/atmc/sweep.jsonl")
+"""The kept runs."""
+_LOG_NOW: Final[dict[str, Any]] = {"reward": "log", "discount": 0.0}
+CONFIGURATIONS: Final[dict[str, tuple[dict[str, Any], ...]]] = {
+    "madqn": (
+        {},
+        {"discount": 0.0},
+        {"reward": "log"},
+        _LOG_NOW,
+        {**_LOG_NOW, "soft_update": 0.001},
+        {**_LOG_NOW, "learning_rate": 1e-3},
+    ),
+    "maddpg": (
+        {},
+        {"discount": 0.95},
+        {"reward": "standardised"},
+        {"reward": "standardised", "discount": 0.95},
+        {"first_entropy": 0.05},
+        {"policy_gradient": "gumbel"},
+    ),
+    "iac": (
+        {},
+        {"discount": 0.0},
+        {"reward": "log"},
+        _LOG_NOW,
+        {**_LOG_NOW, "entropy": 0.05},
+        {**_LOG_NOW, "learning_rate": 1e-3},
+    ),
+}
+"""Configurations of each algorithm, as differences from its default settings."""
+VALIDATE_EVERY: Final = 10
+"""Episodes between two validations."""
+JUDGED: Final = 5
+"""Number of last validations whose mean judges a run. A single one varies by several per cent."""
+_OUT = Path(KEPT.name) if CHECKOUT is None else KEPT
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """One training run."""
+
+    algorithm: str
+    configuration: int
+    """Index into `CONFIGURATIONS`."""
+    changes: dict[str, Any]
+    """Differences from the default settings."""
+    seed: int
+    validation: tuple[tuple[int, float], ...]
+    """Episode, and system delay (ms) of the policy without exploration on the validation set."""
+    cpu_s: float
+    """Processor time of the run."""
+
+    @property
+    def delay_ms(self) -> float:
+        """Mean of the last `JUDGED` validations, ms."""
+        last = [ms for _, ms in self.validation[-JUDGED:]]
+        return sum(last) / len(last)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `ground-tools atmc sweep`."""
+    parser.description = (
+        "Train MADQN-ATMC, MADDPG and IAC with six settings each (reward, discount, entropy, rates), all\n"
+        "with the same number of episodes, and print a table of their delays at the end."
+    )
+    parser.epilog = "example: ground-tools atmc sweep --algorithms iac --episodes 400 --out sweep.jsonl"
+    parser.add_argument(
+        "--algorithms", nargs="+", choices=list(CONFIGURATIONS), default=list(CONFIGURATIONS), metavar="NAME",
+        help=f"algorithms to train (default: {' '.join(CONFIGURATIONS)})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--episodes", type=int, default=400, metavar="N",
+        help=f"episodes of each run, a multiple of {VALIDATE_EVERY} (default: 400)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--seeds", default="101-101", metavar="A-B", help="seeds of each configuration (default: 101-101)"
+    )
+    parser.add_argument(
+        "--processes", type=int, metavar="N", help="runs at the same time (default: one per core)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=_OUT, metavar="FILE",
+        help=f"file of the runs; runs in it are not repeated (default: {_OUT})",
+    )  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print the table as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `ground-tools atmc sweep`. Returns 0.
+
+    Raises:
+        ConfigError: An option is wrong, PyTorch is missing, or the file cannot be used.
+    """
+    seeds = seed_range(args.seeds)
+    if args.episodes < VALIDATE_EVERY or args.episodes % VALIDATE_EVERY:
+        raise ConfigError(
+            f"--episodes: {args.episodes} is not allowed; allowed: multiples of {VALIDATE_EVERY}"
+        )
+    processes = processes_of(args.processes)
+    set_up_torch()
+    kept = Kept(args.out, {"task": "paper", "episodes": args.episodes}, Row, _number)
+    wanted = [
+        (name, configuration, seed, args.episodes)
+        for seed in seeds
+        for name in args.algorithms
+        for configuration in range(len(CONFIGURATIONS[name]))
+    ]
+    missing = [one for one in wanted if _key(*one[:3]) not in kept.rows]
+    with progress("runs", len(missing)) as advance:
+        for _, row in in_parallel(train, missing, processes, Console(stderr=True)):
+            kept.add([row])
+            advance()
+    found = table(kept.rows.values())
+    if args.json:
+        print(json.dumps(found, indent=1))
+    else:
+        Console().print(_drawn(found))
+    return 0
+
+
+def train(one: tuple[str, int, int, int]) -> Row:
+    """Train one run.
+
+    Args:
+        one: algorithm, index of its configuration, seed, and number of episodes.
+    """
+    set_up_torch()
+    import torch
+
+    from ground_tools.atmc.learners.algorithms import ALGORITHMS
+
+    algorithm, configuration, seed, episodes = one
+    begun = time.process_time()
+    parts = ALGORITHMS[algorithm].parts()
+    changes = CONFIGURATIONS[algorithm][configuration]
+    settings = msgspec.structs.replace(parts.settings, **changes)
+    learner = parts.make(settings, seed, torch.device("cpu"))
+    validation = []
+    for episode in range(1, episodes + 1):
+        learner.train()
+        if episode % VALIDATE_EVERY == 0:
+            validation.append((episode, round(learner.validate()["score"], 1)))
+    return Row(
+        algorithm=algorithm,
+        configuration=configuration,
+        changes=changes,
+        seed=seed,
+        validation=tuple(validation),
+        cpu_s=round(time.process_time() - begun, 1),
+    )
+
+
+def table(rows: Iterable[Row]) -> list[dict[str, Any]]:
+    """The runs in the order of `CONFIGURATIONS`, each with its delay at the end (ms).
+
+    Raises:
+        ConfigError: there is no run.
+    """
+    found = [
+        {
+            "algorithm": row.algorithm,
+            "changes": row.changes,
+            "seed": row.seed,
+            "delay_ms": round(row.delay_ms, 1),
+            "cpu_s": row.cpu_s,
+        }
+        for row in sorted(rows, key=_number)
+    ]
+    if not found:
+        raise ConfigError("--out: the file holds no run")
+    return found
+
+
+def _number(row: Row) -> int:
+    return _key(row.algorithm, row.configuration, row.seed)
+
+
+def _key(algorithm: str, configuration: int, seed: int) -> int:
+    return (100 * list(CONFIGURATIONS).index(algorithm) + configuration) * 10**9 + seed
+
+
+def _drawn(found: list[dict[str, Any]]) -> Table:
+    drawn = Table(
+        title=f"System delay (ms): mean of the last {JUDGED} validations",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    for index, head in enumerate(("algorithm", "settings", "seed", "delay", "CPU minutes")):
+        drawn.add_column(head, justify="left" if index < 2 else "right")
+    for line in found:
+        changes = ", ".join(f"{name} {value}" for name, value in line["changes"].items()) or "default"
+        drawn.add_row(
+            NAMES[line["algorithm"]],
+            changes,
+            str(line["seed"]),
+            f"{line['delay_ms']:,.0f}",
+            f"{line['cpu_s'] / 60.0:.1f}",
+        )
+    return drawn

@@ -1,0 +1,88 @@
+"""`ground-tools atmc sweep`: equal budgets, kept runs, the judged delay, and wrong input."""
+
+from __future__ import annotations
+
+import json
+
+import msgspec
+import pytest
+
+from companion.errors import ConfigError
+from ground_tools import cli
+from ground_tools.atmc.commands import sweep
+from ground_tools.atmc.commands.sweep import CONFIGURATIONS, Row
+from ground_tools.atmc.learners.algorithms import ALGORITHMS
+
+
+def row(algorithm="iac", configuration=0, validation=((10, 1000.0),)):
+    return Row(
+        algorithm=algorithm,
+        configuration=configuration,
+        changes={},
+        seed=101,
+        validation=validation,
+        cpu_s=1.0,
+    )
+
+
+def test_all_algorithms_have_as_many_configurations_and_begin_with_the_default():
+    assert {len(found) for found in CONFIGURATIONS.values()} == {6}
+    assert all(found[0] == {} for found in CONFIGURATIONS.values())
+
+
+@pytest.mark.parametrize("algorithm", CONFIGURATIONS)
+def test_the_configurations_are_valid_and_differ(algorithm):
+    default = ALGORITHMS[algorithm].parts().settings
+    found = [msgspec.structs.replace(default, **changes) for changes in CONFIGURATIONS[algorithm]]
+    # Converting checks names, types and ranges.
+    assert [msgspec.convert(msgspec.to_builtins(one), type(default)) for one in found] == found
+    assert len(set(map(repr, found))) == len(found)
+
+
+def test_a_run_is_judged_by_its_last_five_validations():
+    delays_ms = [9000.0, 100.0, 200.0, 300.0, 400.0, 500.0]
+    assert row(validation=tuple(enumerate(delays_ms))).delay_ms == 300.0
+
+
+def test_runs_are_kept_and_not_trained_again(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sweep, "VALIDATE_EVERY", 1)
+    monkeypatch.setitem(CONFIGURATIONS, "iac", CONFIGURATIONS["iac"][::5])
+    out = tmp_path / "sweep.jsonl"
+    command = ["atmc", "sweep", "--algorithms", "iac", "--episodes", "1", "--processes", "1", "--json"]
+    assert cli.main([*command, "--out", str(out)]) == 0
+    first = capsys.readouterr().out
+    lines = out.read_text().splitlines()
+    assert len(lines) == 1 + len(CONFIGURATIONS["iac"])
+    # A run that a killed process left incomplete is trained again, and comes out the same.
+    out.write_text("\n".join([*lines[:-1], lines[-1][:20]]))
+    assert cli.main([*command, "--out", str(out)]) == 0
+    again = capsys.readouterr().out
+    delays_ms = [[one["delay_ms"] for one in json.loads(found)] for found in (first, again)]
+    assert delays_ms[0] == delays_ms[1]
+    assert len(set(delays_ms[0])) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--episodes", "5"), "--episodes: 5 is not allowed; allowed: multiples of 10"),
+        (("--seeds", "x"), "--seeds: x is not allowed"),
+        (("--processes", "0"), "--processes: 0 is out of range"),
+    ],
+)
+def test_a_wrong_option_is_named(tmp_path, capsys, options, said):
+    assert cli.main(["atmc", "sweep", "--out", str(tmp_path / "runs.jsonl"), *options]) == 2
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_runs_of_another_length_are_refused(tmp_path, capsys):
+    out = tmp_path / "sweep.jsonl"
+    out.write_text(json.dumps({"task": "paper", "episodes": 400}) + "\n")
+    assert cli.main(["atmc", "sweep", "--episodes", "10", "--out", str(out)]) == 2
+    assert "episodes: 400, now 10" in capsys.readouterr().err
+
+
+def test_a_file_without_runs_makes_no_table():
+    with pytest.raises(ConfigError, match="holds no run"):
+        sweep.table([])
