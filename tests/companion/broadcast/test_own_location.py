@@ -15,7 +15,7 @@ METRES_PER_DEG = math.radians(1.0) * 6_378_137.0
 
 
 @pytest.fixture
-def own():
+def own() -> Ownship:
     """An own state whose position was measured and received at 0 s, while it flew north and climbed."""
     own = Ownship()
     own.observe(
@@ -34,7 +34,9 @@ def own():
 
 @pytest.mark.parametrize("age_s", [0.0, 0.25, 0.97])
 @pytest.mark.parametrize("knows_utc", [True, False])
-def test_the_position_is_that_of_the_time_by_which_it_is_dated(own, age_s, knows_utc):
+def test_the_position_is_that_of_the_time_by_which_it_is_dated(
+    own: Ownship, age_s: float, knows_utc: bool
+) -> None:
     """By its timestamp; by its reception if it has none."""
     utc_s = 1_767_225_600.0
     if knows_utc:
@@ -42,5 +44,6 @@ def test_the_position_is_that_of_the_time_by_which_it_is_dated(own, age_s, knows
     location = location_of(own, age_s, 1.0)
     assert (location.timestamp_s is not None) is knows_utc
     dated_s = age_s if location.timestamp_s is None else location.timestamp_s - utc_s % 3600.0
+    assert location.lat_deg is not None
     assert (location.lat_deg - 47.0) * METRES_PER_DEG == pytest.approx(NORTH_MPS * dated_s, abs=0.01)
     assert location.height_m == pytest.approx(50.0 + 4.0 * dated_s)
