@@ -154,7 +154,8 @@ def location_of(own: Ownship, now_s: float, max_age_s: float) -> Location:
     if position is None or not _is_located(own, now_s, max_age_s):
         return Location(status=Status.REMOTE_ID_SYSTEM_FAILURE)
     landed = own.landed(now_s)
-    accuracy = own.gnss_now(now_s)
+    # The receiver's accuracies are not those of an estimate that does not follow it.
+    accuracy = None if own.estimator_lost(now_s) else own.gnss_now(now_s)
     lat, lon, alt_msl = position.lat_deg, position.lon_deg, position.alt_msl_m
     height = position.height_above_home_m
     north, east, down = own.velocity_ned_mps
