@@ -147,7 +147,9 @@ class Broadcaster:
         rates: Mapping[str, int] = {}
         config = self._config
         self._lacking = lacking(config, own, self._operator, now_s)
-        if not self.gives_way:
+        if self.gives_way:
+            self._schedule.stop()
+        else:
             may_begin = self._decided.legal or own.landed(now_s) is Landed.IN_AIR
             self._started = self._started or (may_begin and bool(self._decided.rates))
             rates = self._decided.rates if self._started else {}
