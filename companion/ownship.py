@@ -360,6 +360,11 @@ class Ownship:
         """Last report of the GNSS receiver; None if it is too old."""
         return self.gnss if now_s - self._gnss_s <= _GNSS_LOST_S else None
 
+    def estimator_lost(self, now_s: float) -> bool:
+        """Whether the autopilot reported lately that its estimator has no position. It goes on reporting one
+        all the same."""
+        return now_s - self._estimator_lost_s <= _ESTIMATOR_LOST_S
+
     @property
     def sigma_m(self) -> float:
         """Own horizontal standard deviation per axis (m), as the receiver estimates it."""
@@ -382,7 +387,7 @@ class Ownship:
             return f"no GNSS report for {_GNSS_LOST_S:g} s"
         if self.gnss.fix_type < 3:
             return f"GNSS without a 3D fix (fix type {self.gnss.fix_type})"
-        if now_s - self._estimator_lost_s <= _ESTIMATOR_LOST_S:
+        if self.estimator_lost(now_s):
             return "the autopilot's estimator has no position"
         if now_s - self._upset_s < _UNTRUSTED_S:
             return self._upset

@@ -20,6 +20,7 @@ from companion.events import (
     Broadcast,
     BroadcastChanged,
     Command,
+    Landed,
     OperatorData,
     RadioState,
     RemoteIdHeard,
@@ -61,7 +62,8 @@ class Broadcaster:
         self._floor: tuple[Mapping[str, int], frozenset[str], Decided] | None = None
         """Input of the last decision (requested rates, usable transports), and the decision."""
         self._started = False
-        """Whether the broadcast has begun. It begins once a legal set of transports can be sent."""
+        """Whether the broadcast has begun. It begins once a legal set of transports can be sent. In the air,
+        after a restart, it begins with what can be sent, as if the rest had been lost in flight."""
         self._silent: frozenset[str] = frozenset()
         self._module = VehicleModule()
         self._told: tuple[object, ...] | None = None
@@ -145,8 +147,11 @@ class Broadcaster:
         rates: Mapping[str, int] = {}
         config = self._config
         self._lacking = lacking(config, own, self._operator, now_s)
-        if not self.gives_way:
-            self._started = self._started or (self._decided.legal and bool(self._decided.rates))
+        if self.gives_way:
+            self._schedule.stop()
+        else:
+            may_begin = self._decided.legal or own.landed(now_s) is Landed.IN_AIR
+            self._started = self._started or (may_begin and bool(self._decided.rates))
             rates = self._decided.rates if self._started else {}
             kinds = kinds_of(config.remote_id, self._operator)
             due = self._schedule.due(rates, can_send, radio.wifi_channel, kinds, now_s)

@@ -146,27 +146,30 @@ def location_of(own: Ownship, now_s: float, max_age_s: float) -> Location:
     """Location message of our own state.
 
     The position is extrapolated along our velocity to the tenth of a second that the timestamp can hold, so
-    that the timestamp's resolution adds no error. A position that is too old is left out and the status
-    reports a system failure: sending nothing would look like an empty sky.
+    that the timestamp's resolution adds no error. Without a timestamp it is extrapolated to now, because
+    receivers then date it by its reception. A position that is too old is left out and the status reports a
+    system failure: sending nothing would look like an empty sky.
     """
     position = own.position
     if position is None or not _is_located(own, now_s, max_age_s):
         return Location(status=Status.REMOTE_ID_SYSTEM_FAILURE)
     landed = own.landed(now_s)
-    accuracy = own.gnss_now(now_s)
+    # The receiver's accuracies are not those of an estimate that does not follow it.
+    accuracy = None if own.estimator_lost(now_s) else own.gnss_now(now_s)
     lat, lon, alt_msl = position.lat_deg, position.lon_deg, position.alt_msl_m
     height = position.height_above_home_m
     north, east, down = own.velocity_ned_mps
-    timestamp = None
+    timestamp, at_s = None, now_s
     if own.utc_offset_s is not None:
         tenth = math.floor((now_s + own.utc_offset_s) * 10.0) / 10.0
-        ahead = tenth - own.utc_offset_s - own.sample_s()
-        lat += math.degrees(north * ahead / 6_378_137.0)
-        lon += math.degrees(east * ahead / (6_378_137.0 * max(math.cos(math.radians(lat)), 1e-6)))
-        lat, lon = min(max(lat, -90.0), 90.0), (lon + 180.0) % 360.0 - 180.0
-        alt_msl -= down * ahead
-        height -= down * ahead
+        at_s = tenth - own.utc_offset_s
         timestamp = round(tenth % 3600.0, 1)
+    ahead = at_s - own.sample_s()
+    lat += math.degrees(north * ahead / 6_378_137.0)
+    lon += math.degrees(east * ahead / (6_378_137.0 * max(math.cos(math.radians(lat)), 1e-6)))
+    lat, lon = min(max(lat, -90.0), 90.0), (lon + 180.0) % 360.0 - 180.0
+    alt_msl -= down * ahead
+    height -= down * ahead
     speed = math.hypot(north, east)
     in_air = landed in (Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING)
     status = Status.AIRBORNE if in_air else Status.GROUND if landed is Landed.ON_GROUND else Status.UNDECLARED

@@ -69,6 +69,10 @@ class Schedule:
         """Transports in use, with their requested rates. Those that are about to leave are included."""
         return {transport: lane.rate for transport, lane in self._lanes.items()}
 
+    def stop(self) -> None:
+        """Take all transports off the air. They begin anew when they are wanted again."""
+        self._lanes.clear()
+
     def due(
         self,
         rates: Mapping[str, int],

@@ -49,6 +49,9 @@ _PACKS_HASHED: Final = 5
 together with Basic ID and Location."""
 _ON_AIR_S: Final = 2.0
 """A transport on which no Location was sent for longer than this is not in use."""
+_REPEATED_S: Final = 0.9
+"""How long packs repeat a Location, also on a transport that was given up. Regions allow an age of 1 s, and a
+timestamp is up to 0.1 s old when it is first sent."""
 
 
 @dataclass(slots=True)
@@ -125,7 +128,8 @@ class Signer:
                 lane.pages.clear()
                 lane.sent.clear()
                 continue
-            if utc_s is not None and not lane.pages:
+            in_time = transport == BLE4 or now_s - lane.location_s <= _REPEATED_S
+            if utc_s is not None and in_time and not lane.pages:
                 data = self._due(transport, lane, now_s, utc_s)
                 if data is not None:
                     out += self._paged(

@@ -14,6 +14,7 @@ from typing import Final
 
 from companion.radio.hci import packets
 from companion.radio.hci.packets import HciCommand, Status, status_words
+from companion.remote_id.codec import MESSAGE_SIZE, PACK_HEADER_SIZE
 from companion.remote_id.transports import BLE4, BLE5
 
 NAMES: Final = {BLE4: "BLE 4", BLE5: "BLE 5 Long Range"}
@@ -33,7 +34,7 @@ _SENT: Final = frozenset((Status.SUCCESS, Status.ADVERTISING_TIMEOUT, Status.LIM
 Timeout must mean the same."""
 
 _MESSAGE_AT: Final = 6
-"""Offset of the message in a BLE 4 frame."""
+"""Offset of the message in a BLE 4 frame, and of the pack in a BLE 5 frame."""
 _MANIFOLD: Final = frozenset((0, 2))
 """Message types of which several may coexist (Basic ID, Authentication). The next byte tells them apart."""
 
@@ -64,15 +65,18 @@ class HciCounts:
     """Received frames that were dropped because they were not fetched in time."""
 
 
-def frame_key(transport: str, index: int, frame: bytes) -> Key:
-    """Return the key under which a newer frame replaces an older one.
+def frame_key(transport: str, frame: bytes) -> Key:
+    """Return the key under which a newer frame replaces an older one: the kinds of its messages.
 
-    On BLE 4 this is the kind of message, elsewhere the index of the pack in its broadcast.
+    A pack never replaces one of other kinds. A signed pack, or its part on a controller with small packs, may
+    follow a pack at once, and does not hold the same messages.
     """
-    if transport != BLE4:
-        return (index,)
-    kind = frame[_MESSAGE_AT] >> 4
-    return (kind, frame[_MESSAGE_AT + 1]) if kind in _MANIFOLD else (kind,)
+    first = _MESSAGE_AT if transport == BLE4 else _MESSAGE_AT + PACK_HEADER_SIZE
+    kinds: list[int] = []
+    for at in range(first, len(frame) - 1, MESSAGE_SIZE):
+        kind = frame[at] >> 4
+        kinds += (kind, frame[at + 1]) if kind in _MANIFOLD else (kind,)
+    return tuple(kinds)
 
 
 class FrameQueue:
@@ -93,8 +97,8 @@ class FrameQueue:
 
     def put(self, frames: Sequence[bytes]) -> None:
         """Add the frames of one broadcast."""
-        for index, frame in enumerate(frames):
-            key = frame_key(self._transport, index, frame)
+        for frame in frames:
+            key = frame_key(self._transport, frame)
             if key in self._waiting:
                 self._counts.replaced += 1
             elif len(self._waiting) >= _MAX_WAITING:

@@ -25,6 +25,9 @@ MOST_HEARD = 500
 """Most frames that are taken from it in one step of the loop."""
 MOST_MESSAGES = codec.PACK_MAX_MESSAGES
 """Most messages of one frame."""
+FORGIVEN_S = 5.0
+"""A transport whose broadcast failed is tried again after this time. As long as it counts as unable to send,
+nothing is broadcast on it, so that no success could show that it works again."""
 _TEXT = 200
 """Most characters of its texts."""
 _ADDRESS = 40
@@ -44,8 +47,8 @@ class GuardedRadio:
         self._plugin = plugin
         self.trouble: str | None = None
         """What it did wrong last, in words; None if nothing."""
-        self._failed: set[str] = set()
-        """Transports whose last broadcast failed."""
+        self._failed_s: dict[str, float] = {}
+        """When the last broadcast failed, for each transport whose last one did."""
         self._bad = 0
 
     @property
@@ -85,10 +88,10 @@ class GuardedRadio:
         except ValueError:
             raise
         except (Exception, SystemExit) as error:
-            self._failed.add(transport)
+            self._failed_s[transport] = now_s
             self._note(error)
         else:
-            self._failed.discard(transport)
+            self._failed_s.pop(transport, None)
 
     def heard(self, now_s: float) -> list[RemoteIdHeard]:
         """See `Radio.heard`. Frames that break the contract are counted and left out."""
@@ -106,6 +109,7 @@ class GuardedRadio:
         told = self._ask(lambda: _health(self.made.health(now_s)), None)
         if told is None:
             return Health(False, f"{self._plugin}: {self.trouble}", 0, 0, self._bad)
+        failed = {t for t, failed_s in self._failed_s.items() if now_s - failed_s < FORGIVEN_S}
         trouble = "" if self.trouble is None else f"; {self.trouble}"
         return Health(
             ok=told.ok and self.trouble is None,
@@ -113,7 +117,7 @@ class GuardedRadio:
             frames_sent=told.frames_sent,
             frames_heard=told.frames_heard,
             bad_frames=told.bad_frames + self._bad,
-            can_send=told.can_send - self._failed,
+            can_send=told.can_send - failed,
             confirmed=told.confirmed,
             missing=told.missing,
         )

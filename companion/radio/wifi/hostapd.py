@@ -29,7 +29,8 @@ _OPEN_TIMEOUT_S: Final = 2.0
 _ANSWER_TIMEOUT_S: Final = 2.0
 _CLOSE_TIMEOUT_S: Final = 0.5
 _POLL_S: Final = 1.0
-_STALE_AFTER_S: Final = 3.0
+_STALE_AFTER_S: Final = 1.5
+"""An element in use is renewed once a second at least. Its Location is not to be on the air for longer."""
 _MAX_ANSWER: Final = 1 << 14
 _BSSID: Final = re.compile("(?!00:00:00:00:00:00)[0-9a-f]{2}(?::[0-9a-f]{2}){5}")
 MAX_ELEMENT: Final = 2 + 255

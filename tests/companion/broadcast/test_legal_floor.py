@@ -62,6 +62,7 @@ class Aircraft:
         self.broadcaster = Broadcaster(config)
         self.own = Ownship()
         self.now_s = 0.0
+        self.landed = Landed.IN_AIR
         self.gnss: GnssFix | None = GnssFix(
             fix_type=3, lat_deg=47.0, lon_deg=8.0, alt_msl_m=450.0, alt_ellipsoid_m=497.0
         )
@@ -81,7 +82,7 @@ class Aircraft:
                 mode=FlightMode.MISSION,
                 armed=True,
             ),
-            LandedState(landed=Landed.IN_AIR),
+            LandedState(landed=self.landed),
             VehicleTime(time_boot_s=now_s + 100.0, utc_s=UTC_S + now_s),
             *((self.gnss,) if self.gnss is not None else ()),
         ):
@@ -245,6 +246,7 @@ def test_ble4_alone_is_joined_by_what_the_law_asks():
 
 def test_a_radio_that_cannot_be_legal_does_not_begin_and_says_why():
     aircraft = Aircraft(config_of(REGIONS["us"], transports=("ble4",)))
+    aircraft.landed = Landed.ON_GROUND
     aircraft.radio(("ble4", "nan"))
     for _ in range(60):
         aircraft.step(0.05)
@@ -257,11 +259,25 @@ def test_a_radio_that_cannot_be_legal_does_not_begin_and_says_why():
 def test_a_radio_that_was_legal_only_before_the_vehicle_was_heard_has_not_begun():
     aircraft = Aircraft(config_of(REGIONS["us"], transports=("ble4", "ble5")))
     aircraft.radio(("ble4", "ble5"))
+    aircraft.landed = Landed.ON_GROUND
     assert not aircraft.broadcaster.step(aircraft.own, 0.0)
     aircraft.radio(("ble4",))
     for _ in range(60):
         aircraft.step(0.05)
     assert not aircraft.sent
+
+
+def test_after_a_restart_in_the_air_what_the_radios_can_still_send_is_sent():
+    """Being seen by some is better than by none; the aircraft cannot be kept on the ground any more."""
+    aircraft = Aircraft(config_of(REGIONS["us"], transports=("ble4", "ble5")))
+    aircraft.radio(("ble4",))
+    for _ in range(40):
+        aircraft.step(0.05)
+    assert {b.transport for _, b in aircraft.sent} == {"ble4"}
+    statuses = {m.status for _, b in aircraft.sent for m in b.messages if isinstance(m, Location)}
+    assert statuses == {Status.REMOTE_ID_SYSTEM_FAILURE}
+    assert aircraft.changes[-1].legal is False
+    assert any("not legal" in say.text for say in aircraft.said)
 
 
 def test_a_policy_of_rates_that_cannot_be_is_kept_within_them():

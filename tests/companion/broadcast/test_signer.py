@@ -117,6 +117,24 @@ def test_packs_hold_a_location_and_no_parity(rate):
             assert head.length <= 201
 
 
+@pytest.mark.parametrize("transport", ["ble5", "wifi", "nan"])
+def test_a_transport_that_is_given_up_repeats_no_location_of_old(transport):
+    """Whenever that is: no Location may be older than a second."""
+    ages = []
+    for tenths in range(10, 40):
+        signer = a_signer(period_s=2.0)
+        last_s = list(flown(0.1 * tenths, {transport: 2}, signer))[-1][0]
+        for step in range(1, 60):
+            t = last_s + step * STEP_S
+            ages += [
+                (UTC_S + t) % 3600.0 - message.timestamp_s
+                for added in signer.add([], t, UTC_S + t)
+                for message in added.messages
+                if type(message) is Location
+            ]
+    assert 0.5 < max(ages) <= 1.0 + 1e-6
+
+
 def test_pages_on_ble4_are_apart():
     times = [
         t

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from companion.events import RemoteIdModule, Severity
-from companion.remote_id.messages import Location
+from companion.events import Broadcast, RadioState, RemoteIdModule, Severity
+from companion.remote_id.messages import BasicId, Location
 from tests.companion.broadcast.on_air import configured, said, told
 
 
@@ -34,6 +34,21 @@ def test_a_vehicle_with_its_own_module_is_not_doubled(bench):
     assert not locations(report(bench, 10.0))
     assert bench.core.broadcaster.gives_way
     assert bench.core.broadcaster.trouble is None
+
+
+def test_ble4_begins_with_its_name_again_after_the_module(bench):
+    """Receivers may know the aircraft by the module's transmitter only."""
+    bench.core.broadcaster.ask({"ble4": 5})
+    bench.extra = [RadioState(can_send=("ble4",))]
+    grounded(bench).step(100)
+    report(bench, 4.0)
+    assert bench.core.broadcaster.gives_way
+    bench.step(80)
+    sent = [c for c in bench.step(60) if isinstance(c, Broadcast)]
+    assert not bench.core.broadcaster.gives_way
+    located = [c for c in sent if any(isinstance(m, Location) for m in c.messages)]
+    assert len(located) > 5
+    assert all(any(isinstance(m, BasicId) for m in c.messages) for c in located)
 
 
 @pytest.mark.parametrize("seconds", [1, 2, 3])

@@ -9,7 +9,7 @@ from companion.events import RemoteIdHeard
 from companion.plugins import Plugin
 from companion.radio.null.null_radio import NullTransport
 from companion.radio.plugin import plugin_radio
-from companion.radio.plugin.plugin_radio import MOST_HEARD, GuardedRadio, open_radio
+from companion.radio.plugin.plugin_radio import FORGIVEN_S, MOST_HEARD, GuardedRadio, open_radio
 from companion.radio.plugin.section import PluginRadio
 from companion.radio.radio import Health, RadioContext
 from companion.remote_id.messages import Location, SelfId
@@ -117,6 +117,16 @@ def test_a_transport_whose_broadcast_fails_cannot_be_sent_on_until_one_succeeds(
     radio.made.broadcast = lambda *_: None
     radio.broadcast("wifi", (WORDS,), 0.0)
     assert radio.health(0.0).can_send == {"wifi"}
+
+
+def test_a_transport_whose_broadcast_failed_is_tried_again():
+    """One exception must not silence the aircraft: nothing is broadcast on what cannot be sent on."""
+    radio = made(broadcast=raising(OSError(11, "try again")))
+    radio.broadcast("wifi", (WORDS,), 10.0)
+    assert radio.health(10.0 + FORGIVEN_S - 0.1).can_send == frozenset()
+    assert radio.health(10.0 + FORGIVEN_S).can_send == {"wifi"}
+    radio.broadcast("wifi", (WORDS,), 10.0 + FORGIVEN_S)
+    assert radio.health(10.0 + FORGIVEN_S).can_send == frozenset()
 
 
 def test_messages_that_cannot_be_sent_are_still_refused():

@@ -9,11 +9,14 @@ import pytest
 from companion.radio.frames_io import FrameSender
 from companion.radio.hci.advertising import FrameQueue, HciCounts
 from companion.radio.hci.session import HciSession
+from companion.remote_id.codec import decode_payload
 from companion.remote_id.messages import (
     Authentication,
     BasicId,
     IdType,
     Location,
+    Message,
+    SelfId,
     System,
     UaType,
 )
@@ -75,6 +78,36 @@ def test_messages_that_stand_side_by_side_do_not_replace_each_other() -> None:
     queue.put(FrameSender(ADDRESS).frames(BLE4, [SERIAL, SESSION_ID, *pages, System(), SELF_ID]))
     assert len(queue) == 6
     assert counts.replaced == 0
+
+
+@pytest.mark.parametrize("per_frame", [1, 2, 3, 4])
+def test_a_signed_pack_takes_no_message_out_of_the_pack_before(per_frame: int) -> None:
+    """On controllers with small packs, several frames wait when the signer's follow them at once."""
+    queue, sender = FrameQueue(BLE5, HciCounts()), FrameSender(ADDRESS)
+
+    def put(messages: tuple[Message, ...]) -> None:
+        for start in range(0, len(messages), per_frame):
+            queue.put(sender.frames(BLE5, messages[start : start + per_frame]))
+
+    signed = tuple(Authentication(auth_type=5, page=page, data=b"x" * 23) for page in range(1, 7))
+    put((SERIAL, LOCATION, System(), SELF_ID))
+    put((SERIAL, LOCATION, *signed))
+    sent: list[Message] = []
+    while (frame := queue.pop_frame()) is not None:
+        sent += decode_payload(frame[6:])
+    assert {type(message) for message in sent} == {BasicId, Location, System, SelfId, Authentication}
+    assert [m.page for m in sent if isinstance(m, Authentication)] == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_newer_pack_replaces_the_one_of_the_same_kinds_that_waits() -> None:
+    counts = HciCounts()
+    queue, sender = FrameQueue(BLE5, counts), FrameSender(ADDRESS)
+    queue.put(sender.frames(BLE5, [SERIAL, LOCATION]))
+    newer = sender.frames(BLE5, [SERIAL, Location(lat_deg=47.6, lon_deg=8.5)])
+    queue.put(newer)
+    assert counts.replaced == 1
+    assert queue.pop_frame() == newer[0]
+    assert queue.pop_frame() is None
 
 
 def test_the_queue_is_bounded_and_keeps_the_location() -> None:
