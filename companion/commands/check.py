@@ -116,7 +116,9 @@ def _configuration(config: Config, found: Preflight) -> None:
     for note in check_identity(config.identity, config.remote_id, config.region):
         found.yellow("configuration", note, "compare it with your registration document")
     if config.identity.uas_id == EXAMPLE_ID:
-        found.yellow(
+        # Messages with our own number are ignored: two aircraft that both have it would not avoid each other.
+        tell = found.yellow if config.flight.use == "watch" else found.red
+        tell(
             "identity",
             f"identity.uas_id: {EXAMPLE_ID} is the example of the documentation; aircraft of the same number "
             "do not avoid each other",

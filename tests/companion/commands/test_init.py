@@ -162,3 +162,7 @@ def test_check_tells_of_an_example_number(tmp_path):
         found = Preflight()
         check._configuration(made(tmp_path, *options), found)
         assert any("is the example" in finding.text for finding in found.findings) is told
+        assert found.ready
+    found = Preflight()
+    check._configuration(made(tmp_path, "--radio", "hci=user:0", "--use", "guard"), found)
+    assert not found.ready, "two aircraft that fly with the example would not avoid each other"
