@@ -164,5 +164,8 @@ def test_check_tells_of_an_example_number(tmp_path):
         assert any("is the example" in finding.text for finding in found.findings) is told
         assert found.ready
     found = Preflight()
+    check._configuration(made(tmp_path, "--region", "eu"), found)
+    assert any(finding.do.startswith("set it as your registration") for finding in found.findings)
+    found = Preflight()
     check._configuration(made(tmp_path, "--radio", "hci=user:0", "--use", "guard"), found)
     assert not found.ready, "two aircraft that fly with the example would not avoid each other"
