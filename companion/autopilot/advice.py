@@ -9,7 +9,7 @@ from companion.autopilot.lists.mission import speed_changes
 from companion.avoidance.law import horizon_s
 from companion.avoidance.limits import effective, lower_ones
 from companion.config import Config, LimitsConfig
-from companion.events import Firmware, MissionItem, VehicleParameters
+from companion.events import Firmware, MissionItem, Parameter, VehicleParameters
 
 LEAST_TIMEOUT_S = 0.5
 LEAST_SETPOINTS = 5
@@ -75,7 +75,7 @@ def _flown(config: Config, vehicle: VehicleParameters) -> list[str]:
         return []
     dialect, limits, rate_hz = DIALECTS[vehicle.firmware], config.limits, config.flight.setpoint_rate_hz
     found = [
-        f"{p.name} {p.value:g} is below limits.{key} {getattr(limits, key):g}: the vehicle's limit applies"
+        f"{_told(vehicle, p)} is below limits.{key} {getattr(limits, key):g}: the vehicle's limit applies"
         for key, p in lower_ones(limits, vehicle).items()
     ]
     timeout, loss, fence = vehicle.setpoint_timeout_s, vehicle.loss_action, vehicle.fence_action
@@ -98,6 +98,15 @@ def _flown(config: Config, vehicle: VehicleParameters) -> list[str]:
     return found
 
 
+def _told(vehicle: VehicleParameters, p: Parameter) -> str:
+    """Name and value of a limit (SI). Where the vehicle holds it in centimetres, its own number is told too,
+    because that is what is set in a ground station."""
+    factors = {name: factor for wanted in DIALECTS[vehicle.firmware].wanted for name, factor in wanted.names}
+    if factors.get(p.name, 1.0) == 1.0:
+        return f"{p.name} {p.value:g}"
+    return f"{p.name} {p.value:g} (set in centimetres: {p.value / factors[p.name]:g})"
+
+
 def restarting(vehicle: VehicleParameters) -> str | None:
     """Why a mission cannot be given back to this vehicle, in words; None when it can."""
     restart = vehicle.mission_restart
@@ -115,7 +124,7 @@ def too_fast(limits: LimitsConfig, vehicle: VehicleParameters, items: Sequence[M
     asked = [(speed_mps, f"mission item {seq}: {speed_mps:g} m/s") for seq, speed_mps in changes]
     cruise = vehicle.cruise_mps or vehicle.speed_mps
     if own and cruise is not None:
-        asked.append((cruise.value, f"{cruise.name} {cruise.value:g}"))
+        asked.append((cruise.value, _told(vehicle, cruise)))
     most_mps, who = max(asked, default=(0.0, ""))
     if DIALECTS[vehicle.firmware].own_speed_limits_missions and vehicle.speed_mps is not None:
         most_mps = min(most_mps, vehicle.speed_mps.value)
@@ -123,11 +132,8 @@ def too_fast(limits: LimitsConfig, vehicle: VehicleParameters, items: Sequence[M
     if most_mps <= limit_mps * _SINGLE:
         return None
     lower = lower_ones(limits, vehicle).get("max_speed_mps")
-    name = "limits.max_speed_mps" if lower is None else lower.name
-    return (
-        f"{who} is above {name} {limit_mps:g}: "
-        "in a conflict, the companion slows the vehicle down to that at once"
-    )
+    what = f"limits.max_speed_mps {limit_mps:g}" if lower is None else _told(vehicle, lower)
+    return f"{who} is above {what}: in a conflict, the companion slows the vehicle down to that at once"
 
 
 def no_receiver(vehicle: VehicleParameters) -> str | None:

@@ -2,12 +2,14 @@
 
 It flies nothing and commands nothing. The first stage runs what `companion check` runs; every stage judges
 the record of an ordinary `companion run`. A stage is judged only after all stages before it have passed with
-the same software and the same aircraft.
+the same software and the same aircraft. The version alone does not name the software, because an installation
+from a checkout changes without it, so the code is compared as well.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import hashlib
 import sys
 import time
@@ -16,6 +18,7 @@ from typing import Final, get_args
 
 import msgspec
 
+import companion
 from companion import __version__
 from companion import config as configuration
 from companion.commands.preflight import Light, Preflight
@@ -41,7 +44,7 @@ MEANING: Final = {
     "propellers-off": "the propellers are off",
     "area-clear": "nobody is below or beside the flight path, and the flight is permitted there",
     "pilot-ready": "a pilot held a transmitter and could take over at any time",
-    "takeover-tried": "the pilot took over from a mission by mode switch and by stick, before this flight",
+    "takeover-tried": "the pilot took over from a mission before, by mode switch (PX4: also by stick)",
     "offset-50m": "both paths stay 50 m apart sideways, and both pilots knew the plan",
 }
 """Meaning of each statement of the operator, by its name. None of them can be measured."""
@@ -54,6 +57,8 @@ class Attempt(msgspec.Struct, frozen=True, kw_only=True):
     passed: bool
     utc: str
     software: str
+    code_sha256: str = ""
+    """SHA-256 of the software's code, as `code_sha256` returns it; empty in older evidence."""
     aircraft: str
     config: str
     """Path of the configuration."""
@@ -154,6 +159,7 @@ def attempt_of(
         passed=refused is None and all(check.passed for check in checks),
         utc=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         software=__version__,
+        code_sha256=code_sha256(),
         aircraft=config.identity.uas_id,
         config=str(path),
         config_sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
@@ -172,6 +178,8 @@ def _refusal(stage: Stage, stated: tuple[str, ...], config: Config, evidence: Ev
             return f'stage "{stage}" comes after "{earlier}", which {state}'
         if last.software != __version__:
             return f'stage "{earlier}" passed with software {last.software}; this is {__version__}: repeat it'
+        if last.code_sha256 != code_sha256():
+            return f'stage "{earlier}" passed with other code of version {__version__}: repeat it'
         if last.aircraft != config.identity.uas_id:
             return (
                 f'stage "{earlier}" was passed by {last.aircraft}, not by {config.identity.uas_id}: repeat it'
@@ -181,6 +189,17 @@ def _refusal(stage: Stage, stated: tuple[str, ...], config: Config, evidence: Ev
         words = "; ".join(f"--confirm {name}: {MEANING[name]}" for name in missing)
         return f'stage "{stage}" needs the operator\'s word ({words})'
     return None
+
+
+@functools.cache
+def code_sha256() -> str:
+    """SHA-256 of the names and contents of all Python files of this package."""
+    root = Path(companion.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(f"{path.relative_to(root).as_posix()}\0".encode())
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
 
 
 def _preflight(config: Config) -> list[Check]:

@@ -37,6 +37,10 @@ def judge_containment(config: Config, found: Preflight) -> None:
     found.green("containment", f"unproven traffic: {around}; {own.total_s:g} s, then {own.then}")
     around = f"{side_m:g} m to the side, {above_m:g} m above the leg, down to the floor"
     found.green("containment", f"crewed traffic: {around}; {own.crewed_total_s:g} s, then {own.crewed_then}")
+    if config.limits.ceiling_height_m is None:
+        most_m = max(own.above_m, above_m)
+        text = f"limits.ceiling_height_m is not set: traffic can move the vehicle {most_m:g} m above its leg"
+        found.yellow("containment", text, "set it to the greatest height that is allowed there")
     if not kind_of(config.avoidance.law).keeps_fence:
         text = f'avoidance.law = "{config.avoidance.law}" keeps only the heights of this volume'
         found.yellow("containment", text, 'set avoidance.law = "dmuca"')

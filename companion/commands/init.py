@@ -31,17 +31,18 @@ _WIRING: Final = {
         "# flow control where its wires are missing: BRD_SER2_RTSCTS = 0."
     ),
     "ardupilot network": (
-        "# ArduPilot behind a router on this computer, or on Ethernet: there NET_P1_TYPE = 1 (UDP client),\n"
-        "# NET_P1_PROTOCOL = 2, NET_P1_IP0..3 this computer, NET_P1_PORT = 14540; the link listens on\n"
-        "# 0.0.0.0."
+        "# ArduPilot behind a router on this computer, or on Ethernet: there NET_ENABLE = 1, then, after a\n"
+        "# restart, NET_P1_TYPE = 1 (UDP client), NET_P1_PROTOCOL = 2, NET_P1_IP0..3 this computer,\n"
+        "# NET_P1_PORT = 14540; the link listens on 0.0.0.0."
     ),
     "px4 serial": (
         "# PX4, for TELEM2: MAV_1_CONFIG = 102, MAV_1_MODE = 2 (onboard), SER_TEL2_BAUD as in the link."
     ),
     "px4 network": (
         "# PX4 behind a router on this computer, its simulation (which sends to port 14540 by itself), or\n"
-        "# on Ethernet: there MAV_2_CONFIG = 1000, MAV_2_MODE = 2 (onboard), MAV_2_REMOTE_PRT = 14540; the\n"
-        "# link listens on 0.0.0.0."
+        "# on Ethernet: there MAV_2_CONFIG = 1000, MAV_2_MODE = 2 (onboard), MAV_2_UDP_PRT = 14540. PX4\n"
+        "# sends nothing there before it has received something: use udpout: with its address. A companion\n"
+        "# that restarts then receives nothing until PX4 restarts (docs/flying.md)."
     ),
 }
 """What the autopilot's end of the link needs, by firmware and kind of link."""

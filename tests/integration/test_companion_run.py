@@ -253,7 +253,8 @@ def test_check_says_what_is_missing(start, tmp_path):
     assert "configuration: valid" in checked.output
     assert "vehicle: " in checked.output
     assert "vehicle: without setpoints for 3 s (GUID_TIMEOUT) it brakes and stays in GUIDED" in checked.output
-    assert "vehicle: WPNAV_SPEED_DN 1.5 is below limits.max_descent_mps 2" in checked.output
+    slow = "vehicle: WPNAV_SPEED_DN 1.5 (set in centimetres: 150) is below limits.max_descent_mps 2"
+    assert slow in checked.output
     assert "radio: none configured, and avoidance.law is none" in checked.output
 
 

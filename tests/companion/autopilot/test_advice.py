@@ -35,6 +35,7 @@ def mission(*speeds_mps: float) -> list[MissionItem]:
 
 PX4 = told(Firmware.PX4, speed_mps=("MPC_XY_VEL_MAX", 12.0), cruise_mps=("MPC_XY_CRUISE", 7.0))
 COPTER = told(speed_mps=("WP_SPD", 10.0))
+OLD_COPTER = told(speed_mps=("WPNAV_SPEED", 10.0))
 
 
 @pytest.mark.parametrize(
@@ -50,6 +51,14 @@ COPTER = told(speed_mps=("WP_SPD", 10.0))
         (COPTER, mission(12.0), 15.0, "mission item 1: 12 m/s is above WP_SPD 10"),
         (told(), mission(0.0), 5.0, None),
         (told(), mission(6.0), 5.0, "mission item 1: 6 m/s is above limits.max_speed_mps 5"),
+        # Before 4.7 in centimetres: who reads 10 m/s must not set 5 where 500 is meant.
+        (OLD_COPTER, [], 5.0, "WPNAV_SPEED 10 (set in centimetres: 1000) is above limits.max_speed_mps 5"),
+        (
+            OLD_COPTER,
+            mission(12.0),
+            15.0,
+            "mission item 1: 12 m/s is above WPNAV_SPEED 10 (set in centimetres: 1000)",
+        ),
         (PX4, mission(0.0), 7.0, None),
         (PX4, mission(0.0), 5.0, "MPC_XY_CRUISE 7 is above limits.max_speed_mps 5"),
         (PX4, mission(15.0), 8.0, "mission item 1: 15 m/s is above limits.max_speed_mps 8"),

@@ -104,7 +104,8 @@ def passed_before(folder: Path, stage: bench_test.Stage, **over: Any) -> None:
         bench_test.Attempt(
             **{
                 "stage": earlier, "passed": True, "utc": "", "software": __version__, "aircraft": "FIRST1",
-                "config": "", "config_sha256": "", "run": None, "stated": (), "checks": (),
+                "code_sha256": bench_test.code_sha256(), "config": "", "config_sha256": "", "run": None,
+                "stated": (), "checks": (),
             } | over
         )
         for earlier in bench_test.STAGES[: bench_test.STAGES.index(stage)]
@@ -152,6 +153,8 @@ def test_no_stage_before_the_one_before_it(tmp_path: Path, capsys: pytest.Captur
     for over, why in (
         ({"passed": False}, "did not pass"),
         ({"software": "0.0.9"}, "passed with software 0.0.9"),
+        # A checkout that was updated has the same version.
+        ({"code_sha256": "0" * 64}, f"passed with other code of version {__version__}"),
         ({"aircraft": "OTHER"}, "was passed by OTHER"),
     ):
         passed_before(tmp_path, "guard", **over)

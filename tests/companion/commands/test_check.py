@@ -307,8 +307,13 @@ def test_the_containment_is_told(make_config: Callable[..., Config]) -> None:
             "green",
             "crewed traffic: 500 m to the side, 96.25 m above the leg, down to the floor; 600 s, then hold",
         ),
+        ("yellow", "limits.ceiling_height_m is not set: traffic can move the vehicle 96.25 m above its leg"),
         ("yellow", "crewed_side_m 500 m is less than the separation avoidance.crewed_horizontal_m"),
     ]
+    found = Preflight()
+    low = msgspec.structs.replace(config.limits, ceiling_height_m=100.0)
+    judge_containment(msgspec.structs.replace(config, path=None, limits=low), found)
+    assert not any("ceiling" in f.text for f in found.findings)
     found = Preflight()
     judge_containment(make_config(use="watch"), found)
     assert not found.findings

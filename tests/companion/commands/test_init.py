@@ -54,7 +54,7 @@ def test_each_firmware_and_link_is_told_what_its_autopilot_needs(tmp_path, firmw
     config = made(tmp_path, f"--{firmware}", "--link", link, "--uas-id", "1596B0000OWN0001")
     assert config.vehicle.link == link
     assert config.identity.uas_id == "1596B0000OWN0001"
-    words = {"ardupilot": ("NET_P1_PORT", "SERIAL2_BAUD"), "px4": ("MAV_2_CONFIG", "SER_TEL2_BAUD")}
+    words = {"ardupilot": ("NET_ENABLE = 1", "SERIAL2_BAUD"), "px4": ("MAV_2_UDP_PRT", "SER_TEL2_BAUD")}
     assert words[firmware][LINKS.index(link)] in (tmp_path / "c.toml").read_text()
 
 
@@ -162,3 +162,10 @@ def test_check_tells_of_an_example_number(tmp_path):
         found = Preflight()
         check._configuration(made(tmp_path, *options), found)
         assert any("is the example" in finding.text for finding in found.findings) is told
+        assert found.ready
+    found = Preflight()
+    check._configuration(made(tmp_path, "--region", "eu"), found)
+    assert any(finding.do.startswith("set it as your registration") for finding in found.findings)
+    found = Preflight()
+    check._configuration(made(tmp_path, "--radio", "hci=user:0", "--use", "guard"), found)
+    assert not found.ready, "two aircraft that fly with the example would not avoid each other"
