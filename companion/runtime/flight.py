@@ -43,8 +43,7 @@ from companion.runtime.links.kept_link import KeptLink
 from companion.runtime.links.no_vehicle import no_vehicle
 from companion.runtime.plugins import judge_plugins
 from companion.runtime.policy import read_policy
-from companion.runtime.prepare import prepare
-from companion.runtime.radios import Radios
+from companion.runtime.prepare import opened, prepare
 from companion.runtime.record.run_record import RunRecord
 from companion.runtime.refusals import Refusals
 from companion.runtime.signing_key import KeptSigning
@@ -65,6 +64,8 @@ stall takes less. The bound keeps an endless flood of input from blocking the lo
 _LOOK_S = 0.1
 """The input is read at least this often, even if nothing arrives, so that a longer gap shows a stall."""
 _LET_GO_S = 2.0
+_ARMED_S = 3.0
+"""Time in which an armed vehicle must be heard if a radio cannot be used. Heartbeats come once a second."""
 _COLLECT_S = 1.0
 """Period of the garbage collection, which runs right after a tick."""
 _LINES_KEPT = 8
@@ -141,9 +142,8 @@ class Flight:
             self._signer = open_signer(config)
             self.link = KeptLink(config.vehicle.link, self._say)
             undo.callback(self.link.close)
-            self.radio = Radios(config, sending=not dry_run)
+            self.radio, self._radio_trouble = opened(config, self._say, sending=not dry_run)
             undo.callback(self.radio.close)
-            self._arm_broadcast(config)
             undo.pop_all()
 
     def _system(self, config: Config, settings: Settings, *, dry_run: bool) -> CompanionSystem:
@@ -188,6 +188,8 @@ class Flight:
             if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self.stop)
         try:
+            if self._radio_trouble is not None:
+                self._go_on_without_radio(self._radio_trouble)
             self._find_vehicle()
             if self._stop:
                 return
@@ -222,12 +224,30 @@ class Flight:
             self._say(f"settings: {text}")
         return settings
 
-    def _arm_broadcast(self, config: Config) -> None:
-        """Prepare the radios for what goes on the air. Raises ConfigError like `prepare`."""
-        for line in prepare(config, self.radio).lines:
-            self._say(line)
-
     # ------------------------------------------------------------ phases
+
+    def _go_on_without_radio(self, trouble: str) -> None:
+        """Go on with the radios that work if the vehicle is armed.
+
+        After a restart in the air, fewer radios are better than no companion. Before the flight a radio that
+        cannot be used is an error.
+
+        Raises:
+            ConfigError: no heartbeat of an armed vehicle arrived within `_ARMED_S`.
+        """
+        until_s = clock.now_s() + _ARMED_S
+        own = self.onboard.core.own
+        while not own.armed and (now := clock.now_s()) < until_s and not self._stop:
+            self._wait(now + 1.0 / self.config.flight.setpoint_rate_hz)
+            self._tick()
+        if not own.armed:
+            raise ConfigError(trouble)
+        self._troubles.note(Trouble.RADIO_MISSING, f"{trouble}; the vehicle is armed")
+        try:
+            for line in prepare(self.config, self.radio, armed=True).lines:
+                self._say(line)
+        except ConfigError as error:
+            self._say(str(error))
 
     def _find_vehicle(self) -> None:
         wait_s = self.config.vehicle.wait_s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.broadcast.broadcaster import asked_rates
@@ -29,24 +30,29 @@ class Prepared:
     """Whether the region's law is kept and, if a radio is configured, something is broadcast."""
 
 
-def prepare(config: Config, radios: Radios) -> Prepared:
+def prepare(config: Config, radios: Radios, *, armed: bool = False) -> Prepared:
     """Decide what goes on the air and prepare the radios for it.
 
     Radios that were opened without `sending` are only probed. If the radios only listen, nothing is raised
     for the law: the vehicle then needs a Remote ID module of its own, and the core (`companion.core`) waits
     for it.
 
+    Args:
+        armed: the vehicle may be in the air already. The radios are then prepared for what they can send,
+            whether it is legal or not.
+
     Raises:
-        ConfigError: a radio cannot be prepared; or flight.use is not "watch" and the radios that send cannot
-            keep the region's law.
+        ConfigError: a radio cannot be prepared; or flight.use is not "watch", the vehicle is not armed, and
+            the radios that send cannot keep the region's law.
     """
-    fly = config.flight.use != "watch"
+    fly = config.flight.use != "watch" and not armed
     decided = keep_floor(asked_rates(config), config.region, radios.capabilities)
     if not decided.legal:
         if fly and radios.capabilities:
             raise ConfigError(f"remote_id: {decided.reason}")
-        nothing = "nothing is broadcast, unless the vehicle has a Remote ID module of its own"
-        return Prepared((f"remote ID: {nothing}: {decided.reason}",), legal=False)
+        if not (armed and decided.rates):
+            nothing = "nothing is broadcast, unless the vehicle has a Remote ID module of its own"
+            return Prepared((f"remote ID: {nothing}: {decided.reason}",), legal=False)
     channel = radios.wifi_channel
     slow = too_slow(decided.rates, config.region, channel, config.flight.setpoint_rate_hz)
     if slow is not None and fly:
@@ -56,7 +62,28 @@ def prepare(config: Config, radios: Radios) -> Prepared:
         lines.append(f"remote ID: {slow}")
     lines += radios.configure(whole_rates(decided.rates, config.region, channel))
     sends = bool(decided.rates) or not config.has_radio
-    return Prepared(tuple(lines), legal=slow is None and sends)
+    return Prepared(tuple(lines), legal=decided.legal and slow is None and sends)
+
+
+def opened(config: Config, say: Callable[[str], None], *, sending: bool) -> tuple[Radios, str | None]:
+    """Open the radios and prepare them.
+
+    Args:
+        say: receives the lines of `Prepared`.
+        sending: see `Radios`.
+
+    Returns:
+        The radios that could be opened, and why they cannot be used as configured (None if they can).
+    """
+    failed: list[str] = []
+    radios = Radios(config, sending=sending, failed=failed.append)
+    if not failed:
+        try:
+            for line in prepare(config, radios).lines:
+                say(line)
+        except ConfigError as error:
+            failed.append(str(error))
+    return radios, "; ".join(failed) or None
 
 
 def _on_air(decided: Decided, region: Region, wifi_channel: int | None) -> str:

@@ -30,6 +30,7 @@ class Autopilot:
 
     def __init__(self, port=0, wrap=bytes):
         self._wrap = wrap
+        self.armed = False
         self._server = socket.socket()
         self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._server.bind(("127.0.0.1", port))
@@ -55,7 +56,8 @@ class Autopilot:
         writer, reader = MavlinkWriter(1, 1), MavlinkReader()
         peer.setblocking(False)
         while not self._ended.wait(0.02):
-            peer.sendall(self._wrap(writer.pack(writer.encoder.heartbeat_encode(2, 3, 1, 5, 4))))
+            base_mode = 129 if self.armed else 1
+            peer.sendall(self._wrap(writer.pack(writer.encoder.heartbeat_encode(2, 3, base_mode, 5, 4))))
             try:
                 data = peer.recv(65536)
             except BlockingIOError:
