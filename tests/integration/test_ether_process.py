@@ -123,7 +123,8 @@ def test_the_air_of_packets_lets_through_what_its_channel_does(tmp_path: Path) -
     assert pair["delivered"] >= 20
     # Two thirds of the time it listens on other channels.
     assert pair["lost"] > 0
-    assert pair["sent"] == pair["delivered"] + pair["lost"]
+    # On a busy machine the last ones are still under way when it ends.
+    assert pair["sent"] >= pair["delivered"] + pair["lost"]
     assert pair["transports"]["wifi"]["sent"] == pair["sent"]
     assert 0.0 < pair["information_age_mean_s"] <= pair["information_age_max_s"]
 

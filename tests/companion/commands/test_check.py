@@ -114,6 +114,7 @@ def both(
         monkeypatch.setattr(wifi_radio, "HostapdControl", AccessPoint)
         monkeypatch.setattr(radios, "open_radio", open_radio)
         monkeypatch.setattr("companion.runtime.flight.warm_up", lambda: 0.0)
+        monkeypatch.setattr("companion.runtime.flight._ARMED_S", 0.1)
         base = make_config(use="watch")
         law = msgspec.toml.decode((REGIONS / f"{region}.toml").read_bytes(), type=Region)
         config = msgspec.structs.replace(
@@ -133,7 +134,11 @@ def both(
         run: list[str] = []
         left[:] = parts
         try:
-            Flight(config, run.append, dry_run=False)._close()
+            flight = Flight(config, run.append, dry_run=False)
+            if flight._radio_trouble is None:
+                flight._close()
+            else:
+                flight.run()
         except ConfigError as error:
             run.append(str(error))
         return plain(checked), run
@@ -216,7 +221,7 @@ def test_every_bad_radio_is_told_before_the_vehicle_is_waited_for(both: Both) ->
     assert any(line.startswith("radio[1]: ArduRemoteID") for line in checked)
     assert max(at) < next(n for n, line in enumerate(checked) if line.startswith("vehicle: "))
     assert checked[-1] == NOT_READY
-    assert run[-1] == "radio[0]: no such port"
+    assert run[-1] == "radio[0]: no such port; radio[2]: no such card"
 
 
 def test_a_single_bad_radio_is_not_called_the_null_backend(both: Both) -> None:

@@ -311,6 +311,6 @@ def test_runs_that_cannot_be_collected_are_named_before_anything_is_measured(
     _, (good,) = train(config, tmp_path / "good")
     _, (bad,) = train(config, tmp_path / "bad")
     spoil(bad)
-    monkeypatch.setattr("ground_tools.atmc.commands.collect._measured", None)
+    monkeypatch.setattr("ground_tools.atmc.commands.collect.measured", None)
     assert cli.main(["atmc", "collect", str(good), str(bad), "--configurations", "250"]) == 2
     assert words in capsys.readouterr().err
