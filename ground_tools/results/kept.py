@@ -14,6 +14,8 @@ from ground_tools.common.provenance import Provenance
 _CHANNEL: Final = "config/channel/standard.toml"
 _TRAINED: Final = ("numpy", "torch")
 _FLOWN: Final = ("numba", "numpy")
+OF_OTHERS: Final = ("benchmarl", "tensordict", "torchrl")
+"""Packages of the extra crosscheck."""
 
 Remake = Callable[[Path], list[str]]
 """Makes a sample of a file again. Returns the differences from the file, as text."""
@@ -72,6 +74,12 @@ def _policy(path: Path) -> list[str]:
     from ground_tools.results import training_samples
 
     return training_samples.policy(path)
+
+
+def _crosscheck(path: Path) -> list[str]:
+    from ground_tools.atmc.commands import crosscheck
+
+    return crosscheck.sample(path)
 
 
 def entries() -> list[Entry]:
@@ -164,7 +172,14 @@ def _trained() -> list[Entry]:
             tuple(sorted({*roots.values()} - {roots["set"]})),
             _training,
             packages=_TRAINED,
-        )
+        ),
+        Entry(
+            "results/atmc/crosscheck.jsonl",
+            "ground-tools atmc crosscheck --out results/atmc/crosscheck.jsonl",
+            (f"{learners}.outside",),
+            _crosscheck,
+            packages=(*_TRAINED, *OF_OTHERS),
+        ),
     ]
     made = "ground-tools atmc train --algorithm {} --seed N, then ground-tools atmc freeze RUN --out {}"
     policies = {f"results/policies/paper-{name}.safetensors": (name, root) for name, root in roots.items()}

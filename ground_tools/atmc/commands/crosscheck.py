@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterable, Sequence
 from importlib import metadata
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final
 
 import msgspec
@@ -118,13 +119,9 @@ def train(one: tuple[str, int, int]) -> Row:
     Args:
         one: algorithm, seed, and steps of the fleet.
     """
-    # The library sets PyTorch's number of threads to that of OpenMP. Two threads are slower than one.
-    os.environ["OMP_NUM_THREADS"] = "1"
-    from ground_tools.atmc.learners import outside
-
     algorithm, seed, steps = one
     begun = time.process_time()
-    learned = outside.train(algorithm, seed, steps)
+    learned = _outside().train(algorithm, seed, steps)
     last = collect.measured(learned.choose, _AIRCRAFT, 10_000)
     return Row(
         algorithm=algorithm,
@@ -183,19 +180,24 @@ def best_fixed_ms() -> float:
 def sample(path: Path) -> list[str]:
     """Train the beginning of the first run of each learner again. Returns the differences, as text.
 
+    Without the library nothing can be trained, and only the file is read.
+
     Raises:
-        ConfigError: The library is missing, or the file cannot be read.
+        ConfigError: The file cannot be read.
     """
-    _needs_library()
     _, rows = read_lines(path, Row)
-    found, seen = [], set()
+    if not rows:
+        return ["the file holds no run"]
+    if _missing_package() is not None:
+        return []
+    firsts: dict[str, Row] = {}
     for row in rows:
-        if row.algorithm in seen:
-            continue
-        seen.add(row.algorithm)
-        again = train((row.algorithm, row.seed, _BETWEEN)).curve[0]
+        firsts.setdefault(row.algorithm, row)
+    found = []
+    for algorithm, row in firsts.items():
+        again = _outside().train(algorithm, row.seed, row.curve[-1][0], until=_BETWEEN).curve[0]
         if again != row.curve[0]:
-            found.append(f"{row.algorithm}, seed {row.seed}: {row.curve[0]}, now {again}")
+            found.append(f"{algorithm}, seed {row.seed}: {row.curve[0]}, now {again}")
     return found
 
 
@@ -211,12 +213,29 @@ def _key(algorithm: str, seed: int) -> int:
     return 1000 * list(NAMES).index(algorithm) + seed
 
 
-def _needs_library() -> None:
+def _outside() -> ModuleType:
+    """The module that needs the library."""
+    # The library sets PyTorch's number of threads to that of OpenMP. Two threads are slower than one.
+    os.environ["OMP_NUM_THREADS"] = "1"
+    from ground_tools.atmc.learners import outside
+
+    return outside
+
+
+def _missing_package() -> str | None:
+    """A package of the library that is not installed; None if all are."""
     for package in _LIBRARY:
         try:
             metadata.version(package)
-        except metadata.PackageNotFoundError as error:
-            raise ConfigError(how_to_install(package, "crosscheck")) from error
+        except metadata.PackageNotFoundError:
+            return package
+    return None
+
+
+def _needs_library() -> None:
+    package = _missing_package()
+    if package is not None:
+        raise ConfigError(how_to_install(package, "crosscheck"))
 
 
 def _drawn(found: dict[str, Any]) -> Table:

@@ -55,20 +55,23 @@ class Learned:
     """The last policy's greedy choices."""
 
 
-def train(algorithm: str, seed: int, steps: int) -> Learned:
+def train(algorithm: str, seed: int, steps: int, until: int | None = None) -> Learned:
     """Train one learner in one thread.
 
     Args:
-        algorithm: a key of `ALGORITHMS`.
+        algorithm: "iql", "ippo" or "masac".
         seed: seed of all random draws.
         steps: steps of the fleet to learn from, a multiple of `STEPS_BETWEEN_MEASUREMENTS`.
+        until: steps after which this run is stopped, likewise a multiple; None: at its end.
     """
     set_up_torch()
     measurements = _Measurements()
     config = ExperimentConfig.get_from_yaml()
     for name, value in SETTINGS.items():
         setattr(config, name, value)
-    config.max_n_frames = config.off_policy_memory_size = steps  # The default would hold all steps, too.
+    config.max_n_frames = steps if until is None else until
+    config.off_policy_memory_size = steps  # The default would hold all steps, too.
+    config.exploration_anneal_frames = steps // 3  # This is the default of a run that is not stopped.
     with tempfile.TemporaryDirectory() as folder:
         config.save_folder = folder
         Experiment(
