@@ -114,10 +114,7 @@ def findings(config: Config, say: Callable[[str], None] | None = None) -> Prefli
 def _configuration(config: Config, found: Preflight) -> None:
     found.green("configuration", "valid")
     for note in check_identity(config.identity, config.remote_id, config.region):
-        do = "compare it with your registration document"
-        if note.startswith("remote_id.operator_id: not set"):
-            do = "set it as your registration document shows it, or let the ground station send it"
-        found.yellow("configuration", note, do)
+        found.yellow("configuration", note, "set it as your registration document shows it")
     if config.identity.uas_id == EXAMPLE_ID:
         # Messages with our own number are ignored: two aircraft that both have it would not avoid each other.
         tell = found.yellow if config.flight.use == "watch" else found.red

@@ -7,7 +7,6 @@ learners, whose curves come from the kept training runs.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Iterable, Sequence
@@ -18,24 +17,20 @@ from typing import Any, Final
 
 import msgspec
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from companion.errors import ConfigError
-from companion.shipped import CHECKOUT, how_to_install, shipped
-from ground_tools.atmc.commands import collect, results
+from companion.shipped import how_to_install, shipped
+from ground_tools.atmc.commands import collect, kept_runs, results
 from ground_tools.atmc.commands.train import seed_range
 from ground_tools.atmc.env.torch_setup import needs_torch
 from ground_tools.common.kept_lines import Kept, read_lines
-from ground_tools.common.progress import progress
 from ground_tools.common.run_options import processes_of
-from ground_tools.common.workers import in_parallel
 
 KEPT: Final = shipped("results/atmc/crosscheck.jsonl")
 """The kept runs."""
 NAMES: Final = {"iql": "IQL", "ippo": "IPPO", "masac": "MASAC"}
 """Display names of the library's learners."""
-_OUT = Path(KEPT.name) if CHECKOUT is None else KEPT
 _LIBRARY: Final = ("benchmarl", "torchrl", "tensordict", "torch")
 _PAPER_SHARE: Final = 0.68
 """The paper's learner has 32 % less delay than the best fixed mode."""
@@ -66,23 +61,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "settings, and print a table of them beside the learners of this project. Needs the extra crosscheck."
     )
     parser.epilog = "example: ground-tools atmc crosscheck --seeds 1-3 --out crosscheck.jsonl"
-    parser.add_argument(
-        "--algorithms", nargs="+", choices=list(NAMES), default=list(NAMES), metavar="NAME",
-        help=f"learners to train (default: {' '.join(NAMES)})",
-    )  # fmt: skip
-    parser.add_argument("--seeds", default="1-3", metavar="A-B", help="one run for each seed (default: 1-3)")
+    kept_runs.add_options(parser, NAMES, seeds="1-3", kept=KEPT)
     parser.add_argument(
         "--steps", type=int, default=60_000, metavar="N",
         help=f"steps of the fleet to learn from, a multiple of {_BETWEEN} (default: 60000)",
     )  # fmt: skip
-    parser.add_argument(
-        "--processes", type=int, metavar="N", help="runs at the same time (default: one per core)"
-    )
-    parser.add_argument(
-        "--out", type=Path, default=_OUT, metavar="FILE",
-        help=f"file of the runs; runs in it are not repeated (default: {_OUT})",
-    )  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print the table as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -95,21 +78,12 @@ def run(args: argparse.Namespace) -> int:
     if args.steps < _BETWEEN or args.steps % _BETWEEN:
         raise ConfigError(f"--steps: {args.steps} is not allowed; allowed: multiples of {_BETWEEN}")
     processes = processes_of(args.processes)
-    kept = Kept(args.out, _made_with(args.steps), Row, _number)
-    wanted = [(name, seed, args.steps) for seed in seeds for name in args.algorithms]
-    missing = [one for one in wanted if _key(one[0], one[1]) not in kept.rows]
-    if missing:
+    kept = Kept(args.out, {"task": "paper", "steps": args.steps}, Row, _number)
+    wanted = {_key(name, seed): (name, seed, args.steps) for seed in seeds for name in args.algorithms}
+    if not wanted.keys() <= kept.rows.keys():
         _needs_library()
-    console = Console(stderr=True)
-    with progress("runs", len(missing)) as advance:
-        for _, row in in_parallel(train, missing, processes, console):
-            kept.add([row])
-            advance()
-    found = table(kept.rows.values())
-    if args.json:
-        print(json.dumps(found, indent=1))
-    else:
-        Console().print(_drawn(found))
+    kept_runs.train_missing(kept, wanted, train, processes)
+    kept_runs.show(table(kept.rows.values()), _drawn, as_json=args.json)
     return 0
 
 
@@ -199,10 +173,6 @@ def sample(path: Path) -> list[str]:
         if again != row.curve[0]:
             found.append(f"{algorithm}, seed {row.seed}: {row.curve[0]}, now {again}")
     return found
-
-
-def _made_with(steps: int) -> dict[str, Any]:
-    return {"task": "paper", "steps": steps}
 
 
 def _number(row: Row) -> int:

@@ -7,26 +7,22 @@ is that of `ground-tools atmc train`. The runs are lines of one file (`ground_to
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from companion.errors import ConfigError
-from companion.shipped import CHECKOUT, shipped
+from companion.shipped import shipped
+from ground_tools.atmc.commands import kept_runs
 from ground_tools.atmc.commands.results import NAMES
 from ground_tools.atmc.commands.train import seed_range
 from ground_tools.atmc.env.torch_setup import set_up_torch
 from ground_tools.common.kept_lines import Kept
-from ground_tools.common.progress import progress
 from ground_tools.common.run_options import processes_of
-from ground_tools.common.workers import in_parallel
 
 KEPT: Final = shipped("results/atmc/sweep.jsonl")
 """The kept runs."""
@@ -62,7 +58,6 @@ VALIDATE_EVERY: Final = 10
 """Episodes between two validations."""
 JUDGED: Final = 5
 """Number of last validations whose mean judges a run. A single one varies by several per cent."""
-_OUT = Path(KEPT.name) if CHECKOUT is None else KEPT
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
@@ -93,25 +88,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "with the same number of episodes, and print a table of their delays at the end."
     )
     parser.epilog = "example: ground-tools atmc sweep --algorithms iac --episodes 400 --out sweep.jsonl"
-    parser.add_argument(
-        "--algorithms", nargs="+", choices=list(CONFIGURATIONS), default=list(CONFIGURATIONS), metavar="NAME",
-        help=f"algorithms to train (default: {' '.join(CONFIGURATIONS)})",
-    )  # fmt: skip
+    kept_runs.add_options(parser, CONFIGURATIONS, seeds="101-101", kept=KEPT)
     parser.add_argument(
         "--episodes", type=int, default=400, metavar="N",
         help=f"episodes of each run, a multiple of {VALIDATE_EVERY} (default: 400)",
     )  # fmt: skip
-    parser.add_argument(
-        "--seeds", default="101-101", metavar="A-B", help="seeds of each configuration (default: 101-101)"
-    )
-    parser.add_argument(
-        "--processes", type=int, metavar="N", help="runs at the same time (default: one per core)"
-    )
-    parser.add_argument(
-        "--out", type=Path, default=_OUT, metavar="FILE",
-        help=f"file of the runs; runs in it are not repeated (default: {_OUT})",
-    )  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print the table as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -128,22 +109,14 @@ def run(args: argparse.Namespace) -> int:
     processes = processes_of(args.processes)
     set_up_torch()
     kept = Kept(args.out, {"task": "paper", "episodes": args.episodes}, Row, _number)
-    wanted = [
-        (name, configuration, seed, args.episodes)
+    wanted = {
+        _key(name, configuration, seed): (name, configuration, seed, args.episodes)
         for seed in seeds
         for name in args.algorithms
         for configuration in range(len(CONFIGURATIONS[name]))
-    ]
-    missing = [one for one in wanted if _key(*one[:3]) not in kept.rows]
-    with progress("runs", len(missing)) as advance:
-        for _, row in in_parallel(train, missing, processes, Console(stderr=True)):
-            kept.add([row])
-            advance()
-    found = table(kept.rows.values())
-    if args.json:
-        print(json.dumps(found, indent=1))
-    else:
-        Console().print(_drawn(found))
+    }
+    kept_runs.train_missing(kept, wanted, train, processes)
+    kept_runs.show(table(kept.rows.values()), _drawn, as_json=args.json)
     return 0
 
 
