@@ -13,9 +13,10 @@ from collections.abc import Iterable, Sequence
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
+from msgspec import Meta
 from rich import box
 from rich.table import Table
 
@@ -29,7 +30,8 @@ from ground_tools.common.run_options import processes_of
 
 KEPT: Final = shipped("results/atmc/crosscheck.jsonl")
 """The kept runs."""
-NAMES: Final = {"iql": "IQL", "ippo": "IPPO", "masac": "MASAC"}
+Learner = Literal["iql", "ippo", "masac"]
+NAMES: Final[dict[Learner, str]] = {"iql": "IQL", "ippo": "IPPO", "masac": "MASAC"}
 """Display names of the library's learners."""
 _LIBRARY: Final = ("benchmarl", "torchrl", "tensordict", "torch")
 _PAPER_SHARE: Final = 0.68
@@ -42,9 +44,9 @@ _AIRCRAFT: Final = 10
 class Row(msgspec.Struct, frozen=True, kw_only=True):
     """One training run."""
 
-    algorithm: str
+    algorithm: Learner
     seed: int
-    curve: tuple[tuple[int, float], ...]
+    curve: Annotated[tuple[tuple[int, float], ...], Meta(min_length=1)]
     """Steps of the fleet so far, and system delay (ms) on the validation set."""
     last: dict[str, float]
     """Delays (ms) of the last policy on new environments; see `paper_task.measure`."""
@@ -87,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def train(one: tuple[str, int, int]) -> Row:
+def train(one: tuple[Learner, int, int]) -> Row:
     """Train one run and measure its last policy.
 
     Args:
@@ -179,7 +181,7 @@ def _number(row: Row) -> int:
     return _key(row.algorithm, row.seed)
 
 
-def _key(algorithm: str, seed: int) -> int:
+def _key(algorithm: Learner, seed: int) -> int:
     return 1000 * list(NAMES).index(algorithm) + seed
 
 

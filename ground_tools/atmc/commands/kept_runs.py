@@ -64,6 +64,7 @@ def train_missing(
     Raises:
         ConfigError: the file cannot be written, or a worker was killed from outside.
     """
+    kept.add([])  # A file that cannot be written is refused before hours of training.
     items = [item for number, item in missing.items() if number not in kept.rows]
     with progress("runs", len(items)) as advance:
         for _, row in in_parallel(train, items, processes, Console(stderr=True)):

@@ -9,9 +9,10 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterable
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
+from msgspec import Meta
 from rich import box
 from rich.table import Table
 
@@ -27,7 +28,8 @@ from ground_tools.common.run_options import processes_of
 KEPT: Final = shipped("results/atmc/sweep.jsonl")
 """The kept runs."""
 _LOG_NOW: Final[dict[str, Any]] = {"reward": "log", "discount": 0.0}
-CONFIGURATIONS: Final[dict[str, tuple[dict[str, Any], ...]]] = {
+Algorithm = Literal["madqn", "maddpg", "iac"]
+CONFIGURATIONS: Final[dict[Algorithm, tuple[dict[str, Any], ...]]] = {
     "madqn": (
         {},
         {"discount": 0.0},
@@ -63,13 +65,13 @@ JUDGED: Final = 5
 class Row(msgspec.Struct, frozen=True, kw_only=True):
     """One training run."""
 
-    algorithm: str
+    algorithm: Algorithm
     configuration: int
     """Index into `CONFIGURATIONS`."""
     changes: dict[str, Any]
     """Differences from the default settings."""
     seed: int
-    validation: tuple[tuple[int, float], ...]
+    validation: Annotated[tuple[tuple[int, float], ...], Meta(min_length=1)]
     """Episode, and system delay (ms) of the policy without exploration on the validation set."""
     cpu_s: float
     """Processor time of the run."""
@@ -120,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def train(one: tuple[str, int, int, int]) -> Row:
+def train(one: tuple[Algorithm, int, int, int]) -> Row:
     """Train one run.
 
     Args:
@@ -177,7 +179,7 @@ def _number(row: Row) -> int:
     return _key(row.algorithm, row.configuration, row.seed)
 
 
-def _key(algorithm: str, configuration: int, seed: int) -> int:
+def _key(algorithm: Algorithm, configuration: int, seed: int) -> int:
     return (100 * list(CONFIGURATIONS).index(algorithm) + configuration) * 10**9 + seed
 
 

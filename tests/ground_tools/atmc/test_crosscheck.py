@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 from importlib import metadata
+from types import SimpleNamespace
 
 import pytest
+import torch
 
 from companion.errors import ConfigError
 from ground_tools import cli
 from ground_tools.atmc.commands import crosscheck, results
 from ground_tools.atmc.commands.crosscheck import Row
+from ground_tools.common.kept_lines import read_lines
 
 
 def row(algorithm="iql", seed=1, curve=((2000, 1500.0), (4000, 1000.0)), last_ms=1010.0):
@@ -106,6 +110,100 @@ def test_without_the_library_the_extra_is_named(tmp_path, capsys, monkeypatch):
     said = capsys.readouterr().err
     assert "benchmarl is not installed" in said
     assert "crosscheck" in said
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_anything_is_trained(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(crosscheck, "_missing_package", lambda: None)
+    monkeypatch.setattr(crosscheck, "train", None)
+    out = tmp_path / "none" / "runs.jsonl"
+    assert cli.main(["atmc", "crosscheck", "--processes", "1", "--out", str(out)]) == 2
+    assert f"--out: {out}: cannot be written" in capsys.readouterr().err
+
+
+def test_lines_that_are_no_runs_are_ignored(tmp_path, best_1500_ms):
+    path = kept(tmp_path / "runs.jsonl", [row()])
+    other = json.dumps(crosscheck_row(row()) | {"algorithm": "qmix"})
+    empty = json.dumps(crosscheck_row(row(seed=2)) | {"curve": []})
+    path.write_text(path.read_text() + f"{other}\n{empty}\n")
+    _, rows = read_lines(path, Row)
+    assert rows == [row()]
+
+
+def test_the_best_fixed_mode_is_the_one_with_the_least_delay(monkeypatch):
+    def validate(self, choose):
+        action = int(choose(torch.zeros(1, 2, 3))[0, 0])
+        return {"score": 2000.0 + (action - 7) ** 2}
+
+    monkeypatch.setattr("ground_tools.atmc.env.paper_task.PaperTask.validate", validate)
+    assert crosscheck.best_fixed_ms() == 2000.0
+
+
+def test_the_last_policy_is_measured_as_those_of_this_project(monkeypatch):
+    asked = []
+
+    class Outside:
+        @staticmethod
+        def train(*of):
+            return SimpleNamespace(curve=((2000, 1.5),), choose=("the policy of", of))
+
+    def measured(choose, uavs, configurations):
+        asked.append((choose, uavs, configurations))
+        return SimpleNamespace(delays_ms={"delay_ms": 1234.567})
+
+    monkeypatch.setattr(crosscheck, "_outside", lambda: Outside)
+    monkeypatch.setattr(crosscheck.collect, "measured", measured)
+    monkeypatch.setattr(metadata, "version", lambda name: "1")
+    found = crosscheck.train(("ippo", 3, 4000))
+    assert asked == [(("the policy of", ("ippo", 3, 4000)), 10, 10_000)]
+    assert (found.algorithm, found.seed, found.last) == ("ippo", 3, {"delay_ms": 1234.6})
+    assert found.library.startswith("benchmarl 1, ")
+
+
+def test_a_sample_without_the_library_only_reads_the_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(crosscheck, "_missing_package", lambda: "benchmarl")
+    assert crosscheck.sample(kept(tmp_path / "runs.jsonl", [row()])) == []
+    assert crosscheck.sample(kept(tmp_path / "none.jsonl", [])) == ["the file holds no run"]
+
+
+def test_a_sample_trains_the_beginning_of_the_first_run_of_each_learner(tmp_path, monkeypatch):
+    trained = []
+
+    class Outside:
+        @staticmethod
+        def train(algorithm, seed, steps, until):
+            trained.append((algorithm, seed, steps, until))
+            return SimpleNamespace(curve=((2000, 1500.0 if algorithm == "iql" else 1.0),))
+
+    monkeypatch.setattr(crosscheck, "_missing_package", lambda: None)
+    monkeypatch.setattr(crosscheck, "_outside", lambda: Outside)
+    path = kept(tmp_path / "runs.jsonl", [row(seed=4), row(seed=5), row("masac", 6)])
+    assert crosscheck.sample(path) == ["masac, seed 6: (2000, 1500.0), now (2000, 1.0)"]
+    assert trained == [("iql", 4, 4000, 2000), ("masac", 6, 4000, 2000)]
+
+
+def test_the_table_says_never_and_gives_mean_and_range(best_1500_ms, capsys, tmp_path):
+    rows = [row(last_ms=1000.0), row(seed=2, curve=((2000, 1200.0), (4000, 1200.0)), last_ms=1100.0)]
+    path = kept(tmp_path / "runs.jsonl", rows)
+    assert (
+        cli.main(
+            [
+                "atmc",
+                "crosscheck",
+                "--algorithms",
+                "iql",
+                "--seeds",
+                "1-2",
+                "--steps",
+                "4000",
+                "--out",
+                str(path),
+            ]
+        )
+        == 0
+    )
+    said = " ".join(capsys.readouterr().out.split())
+    assert "the best fixed mode has 1,500 ms" in said
+    assert re.search(r"IQL 2 4,000, never 1,100 \(1,000 to 1,050 \(1,000 to", said)
 
 
 def test_a_file_without_runs_makes_no_table(best_1500_ms):

@@ -83,6 +83,21 @@ def test_runs_of_another_length_are_refused(tmp_path, capsys):
     assert "episodes: 400, now 10" in capsys.readouterr().err
 
 
+def test_the_table_is_ordered_by_algorithm_configuration_and_seed():
+    rows = [row("iac", 1), row("iac"), row("madqn", 5, ((10, 1234.56),))]
+    found = sweep.table(rows)
+    assert [one["algorithm"] for one in found] == ["madqn", "iac", "iac"]
+    assert found[0]["delay_ms"] == 1234.6
+    numbers = {
+        sweep._key(algorithm, configuration, seed)
+        for algorithm in CONFIGURATIONS
+        for configuration in range(6)
+        for seed in (0, 101, 999_999_999)
+    }
+    assert len(numbers) == 3 * 6 * 3
+    assert all(isinstance(number, int) for number in numbers)
+
+
 def test_a_file_without_runs_makes_no_table():
     with pytest.raises(ConfigError, match="holds no run"):
         sweep.table([])
