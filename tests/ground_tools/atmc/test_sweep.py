@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import json
+from pathlib import Path
 
 import msgspec
 import pytest
 
 from companion.errors import ConfigError
 from ground_tools import cli
-from ground_tools.atmc.commands import sweep
+from ground_tools.atmc.commands import kept_runs, sweep
 from ground_tools.atmc.commands.sweep import CONFIGURATIONS, Row
 from ground_tools.atmc.learners.algorithms import ALGORITHMS
 
@@ -101,3 +103,27 @@ def test_the_table_is_ordered_by_algorithm_configuration_and_seed():
 def test_a_file_without_runs_makes_no_table():
     with pytest.raises(ConfigError, match="holds no run"):
         sweep.table([])
+
+
+def test_the_table_says_which_settings_are_the_default(tmp_path, capsys):
+    out = tmp_path / "sweep.jsonl"
+    rows = [row(configuration=n, validation=((10, 1000.0 + n),)) for n in range(6)]
+    rows[1] = msgspec.structs.replace(rows[1], changes={"reward": "log", "discount": 0.0})
+    lines = [
+        json.dumps({"task": "paper", "episodes": 10}),
+        *(msgspec.json.encode(one).decode() for one in rows),
+    ]
+    out.write_text("\n".join(lines) + "\n")
+    assert cli.main(["atmc", "sweep", "--algorithms", "iac", "--episodes", "10", "--out", str(out)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "IAC default 101 1,000 0.0" in said
+    assert "IAC reward log, discount 0.0 101 1,001 0.0" in said
+
+
+@pytest.mark.parametrize("checkout", [True, False])
+def test_an_installed_copy_writes_to_the_working_folder(tmp_path, monkeypatch, checkout):
+    monkeypatch.setattr(kept_runs, "CHECKOUT", tmp_path if checkout else None)
+    parser = argparse.ArgumentParser()
+    kept = tmp_path / "results" / "runs.jsonl"
+    kept_runs.add_options(parser, ["iac"], seeds="1-1", kept=kept)
+    assert parser.parse_args([]).out == (kept if checkout else Path("runs.jsonl"))
