@@ -40,8 +40,11 @@ from sitl_mocks.channel.parameters import load as load_parameters
 
 CHANNEL: Final = "config/channel/standard.toml"
 POLICY: Final = "config/policies/atmc.safetensors"
-SINGLE: Final[dict[str, Action]] = {BLE4: (10, 0, 0), BLE5: (0, 10, 0), "wifi": (0, 0, 10)}
-"""All aircraft on one transport, at the highest rate. BLE 4 and BLE 5 alone are legal nowhere."""
+SINGLE: Final[dict[str, Action]] = {
+    BLE4: (10, 0, 0), BLE5: (0, 10, 0), "wifi": (0, 0, 10), "wifi-2": (0, 0, 2), "wifi-1": (0, 0, 1),
+}  # fmt: skip
+"""All aircraft on one transport, at the highest rate, or on Wi-Fi with one or two Location messages a second.
+BLE 4 and BLE 5 alone are legal nowhere."""
 TRANSPORTS: Final = (*SINGLE, "fixed", "rule", "policy")
 _BLUETOOTH: Final = 0.35
 """Background load of Bluetooth as a share of that of Wi-Fi: Bluetooth hops. As in `paper closed-loop`."""
@@ -113,6 +116,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     """Mean distance of an aircraft from the timed point of its path."""
     largest_deviation_m: float
     """Median, over the flights, of the largest distance from the timed point."""
+    extra_energy: float
+    """Energy of all flights by `energy.power_w`, above that of the parts of their paths that they have
+    completed, as a share of the latter."""
     late_s: float
     """Mean delay of the paths: how much later than planned the timed point is."""
     waited_s: float
@@ -296,6 +302,7 @@ def _row(seed: int, settled: float, result: Result, slots: int, watch: Watch, re
         least_m=round(least, 3) if math.isfinite(least) else None,
         deviation_m=_of(rows[:, measure.T_GAP_SUM].sum() / steps),
         largest_deviation_m=_of(np.median(rows[:, measure.T_GAP_MOST])) if len(rows) else 0.0,
+        extra_energy=_of(rows[:, measure.T_ENERGY].sum() / max(rows[:, measure.T_PLANNED].sum(), 1.0) - 1.0),
         late_s=_of(rows[:, measure.T_LATE].mean()) if len(rows) else 0.0,
         waited_s=_mean(result.waited_s),
         infeasible=_of(rows[:, measure.T_INFEASIBLE].sum() / decisions),

@@ -239,7 +239,8 @@ def lines(city: City, found: dict[str, Any]) -> list[str]:
         f"losses of separation {found['losses']:,} ({_of(found['losses_per_flight_h'])} an hour of flight), "
         f"in cruise {found['cruise_losses']:,}, collisions {found['collisions']:,}",
         f"distance from the timed point {found['deviation_m']:.1f} m on average, largest of a flight "
-        f"{found['largest_deviation_m']:.1f} m in the median, delay {found['late_s']:.1f} s",
+        f"{found['largest_deviation_m']:.1f} m in the median, delay {found['late_s']:.1f} s; "
+        f"extra energy {found['extra_energy']:.1%}",
         f"decisions in conflict {found['conflict']:.1%}, without a velocity that keeps all planes "
         f"{found['infeasible']:.2%}",
     ]

@@ -16,7 +16,7 @@ from companion.avoidance.kernels.compiled import CacheWithMemory
 from ground_tools.campaign import compiled as campaign
 
 Function = TypeVar("Function")
-_COMPILED = ("flights", "tables", "links", "draws", "tracks", "judging", "loop", "measure")
+_COMPILED = ("flights", "tables", "links", "draws", "tracks", "judging", "loop", "measure", "energy")
 _OF_RADIO = ("reception", "choosing", "awareness")
 SOURCES = (
     *campaign.SOURCES,

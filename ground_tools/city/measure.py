@@ -14,6 +14,7 @@ from ground_tools.campaign.outcome import least_distance2
 from ground_tools.campaign.vehicles import Fleet
 from ground_tools.campaign.world import Conditions
 from ground_tools.city.compiled import compiled
+from ground_tools.city.energy import power_w
 from ground_tools.city.flights import Flights
 from ground_tools.city.tables import NOBODY, Air, Near
 
@@ -33,6 +34,8 @@ MOST_LOSSES = 200_000
     T_GAP_SUM,  # sum over the steps of the distance from the timed point, m
     T_STEPS,  # steps in the air
     T_FLOWN,  # distance flown, m
+    T_ENERGY,  # energy of the flight, J
+    T_PLANNED,  # energy that the part of the path behind the timed point costs as planned, J
     T_LATE,  # delay of the path, s
     T_DECISIONS,
     T_INFEASIBLE,  # decisions that could not keep every half-space
@@ -40,7 +43,7 @@ MOST_LOSSES = 200_000
     T_MANOEUVRES,  # conflicts that began
     T_ASKED,  # sum over the decisions of the number of neighbours that mattered
     TALLY,
-) = range(14)
+) = range(16)
 # Columns of a loss of separation.
 (
     L_TIME,  # when it began, s
@@ -78,10 +81,10 @@ def new_tally(flights: int) -> Tally:
 
 
 def forget(tally: Tally) -> None:
-    """Reset the tallies of the flights, so that counting begins now. Departures, arrivals and the list of
-    losses are kept."""
+    """Reset the tallies of the flights, so that counting begins now. Departures, arrivals, the delays of the
+    paths and the list of losses are kept."""
     for column in range(TALLY):
-        if column not in (T_BEGUN, T_ENDED):
+        if column not in (T_BEGUN, T_ENDED, T_LATE):
             tally.flights[:, column] = math.inf if column == T_LEAST else 0.0
 
 
@@ -119,17 +122,33 @@ def measure(
         row[T_GAP_MOST] = max(row[T_GAP_MOST], gap)
         row[T_GAP_SUM] += gap
         row[T_STEPS] += 1.0
+        # A pause of the path makes it later, and moves the timed point less.
+        progress = world.step_s - (air.late_s[i] - row[T_LATE])
         row[T_LATE] = air.late_s[i]
-        row[T_FLOWN] += math.sqrt(
-            (position[i, 0] - before[i, 0]) ** 2
-            + (position[i, 1] - before[i, 1]) ** 2
-            + (position[i, 2] - before[i, 2]) ** 2
+        flown = k.Vector(
+            position[i, 0] - before[i, 0], position[i, 1] - before[i, 1], position[i, 2] - before[i, 2]
         )
+        row[T_FLOWN] += math.sqrt(flown.n**2 + flown.e**2 + flown.d**2)
+        row[T_ENERGY] += _energy(flown, world.step_s)
+        # The plan ends with the path: to wait for the arrival costs energy that it does not have.
+        progress = min(progress, flights.times[after - 1] - (at - progress))
+        if progress > 0.0:
+            n0, e0, d0 = k.path_position(
+                flights.times[first:after], flights.points[first:after], at - progress
+            )
+            row[T_PLANNED] += _energy(k.Vector(n - n0, e - e0, d - d0), progress)
         for at_pair in range(near.number[i]):
             j = near.other[i, at_pair]
             if air.flight[j] != NOBODY:
                 least2 = least_distance2(position, before, i, j)
                 _note_pair(now, flights, craft, air, near, tally, i, at_pair, math.sqrt(least2))
+
+
+@_inlined
+def _energy(way: k.Vector, time_s: float) -> float:
+    """Energy of a straight way (m, NED) at constant speed, J."""
+    horizontal_mps = math.sqrt(way.n * way.n + way.e * way.e) / time_s
+    return time_s * power_w(horizontal_mps, -way.d / time_s)
 
 
 @_compiled

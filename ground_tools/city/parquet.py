@@ -23,6 +23,8 @@ _FLIGHTS: Final = {
     "least_m": measure.T_LEAST,
     "largest_deviation_m": measure.T_GAP_MOST,
     "way_m": measure.T_FLOWN,
+    "energy_j": measure.T_ENERGY,
+    "planned_energy_j": measure.T_PLANNED,
     "late_s": measure.T_LATE,
     "manoeuvres": measure.T_MANOEUVRES,
 }

@@ -42,6 +42,8 @@ METHODS: Final = {
     "ble4": Method("BLE 4 at 10", {"transports": "ble4"}, (51, 52, 75, 77)),
     "ble5": Method("BLE 5 at 10", {"transports": "ble5"}, (51, 74, 93, 74)),
     "wifi": Method("Wi-Fi at 10", {"transports": "wifi"}, (67, 118, 143, 108)),
+    "wifi-2": Method("Wi-Fi at 2", {"transports": "wifi-2"}, (67, 118, 143, 108)),
+    "wifi-1": Method("Wi-Fi at 1", {"transports": "wifi-1"}, (67, 118, 143, 108)),
     "fixed": Method("best fixed legal set", {"transports": "fixed"}, (62, 121, 135, 134)),
     "rule": Method("rule", {"transports": "rule"}, (64, 128, 138, 136)),
     "policy": Method("policy", {"transports": "policy"}, (74, 152, 174, 152)),
@@ -51,7 +53,7 @@ METHODS: Final = {
     PERFECT: Method("perfect information", {"knows": "perfect"}, (37, 43, 49, 68), talks=False),
     NOBODY: Method("nobody avoids", {"law": "none", "knows": "perfect"}, (30, 27, 25, 26), talks=False),
 }
-"""The methods. The three single transports ignore the region's rules: BLE 4 or BLE 5 alone is legal nowhere.
+"""The methods. The single transports ignore the region's rules: BLE 4 or BLE 5 alone is legal nowhere.
 With the ideal radio every message, one a second, arrives at once at all within 2 km. With perfect information
 the law knows the true state of everybody at every decision; it has no tracks then, and so no growth."""
 _COSTS_AT: Final = (1.0, 10.0, 30.0, 100.0)

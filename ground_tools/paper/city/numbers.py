@@ -51,6 +51,7 @@ MEASURES: Final = (
             logarithmic=True),
     Measure("largest_deviation_m", "largest of a flight, median (m)", lambda r: r.largest_deviation_m,
             digits=1, panel=False),
+    Measure("extra_energy", "extra energy (%)", lambda r: r.extra_energy, scale=100.0, digits=1),
     Measure("age_s", "age of information within 500 m (s)", lambda r: r.age_s, logarithmic=True),
     Measure("old", "of it older than 3 s (%)", lambda r: r.old, share=True, scale=100.0, digits=1),
     Measure("unheard", "unheard aircraft within 500 m (%)", lambda r: r.unheard, share=True, scale=100.0,

@@ -15,11 +15,12 @@ from ground_tools.paper.city.numbers import MEASURES, Measure, estimates
 SHOWN: Final = tuple(measure for measure in MEASURES if measure.panel)
 _ROWS: Final = (len(SHOWN) + 1) // 2
 COLOURS: Final = {
-    "ble4": "#56b4e9", "ble5": "#0072b2", "wifi": "#e69f00", "fixed": "#d55e00", "rule": "#cc79a7",
+    "ble4": "#56b4e9", "ble5": "#0072b2", "wifi": "#e69f00", "wifi-2": "#a6761d", "wifi-1": "#f0c419",
+    "fixed": "#d55e00", "rule": "#cc79a7",
     "policy": "#009e73", "ideal": "#999933", "perfect": "#000000", "none": "#8c8c8c",
 }  # fmt: skip
 """Colour of each method."""
-MARKS: Final = dict(zip(METHODS, "ovs^DPhX*", strict=True))
+MARKS: Final = dict(zip(METHODS, "ovs<>^DPhX*", strict=True))
 """Marker of each method."""
 _APART: Final = 0.04
 """Horizontal offset between methods, in decades of density, so that no interval hides another."""
@@ -93,7 +94,7 @@ def draw(figure: Any, cells: Mapping[Cell, Sequence[Row]]) -> None:
 def _draw(axes: Any, curve: Curve, measure: Measure) -> Any:
     """Draw a curve. Returns its line, for the legend."""
     colour, scale = COLOURS[curve.method], measure.scale
-    shift = 10.0 ** (_APART * (list(METHODS).index(curve.method) - 4))
+    shift = 10.0 ** (_APART * (list(METHODS).index(curve.method) - len(METHODS) // 2))
     places = [density * shift for density, _ in curve.points]
     values = [scale * value.value for _, value in curve.points]
     shown = [value if value > 0.0 or not measure.logarithmic else math.nan for value in values]
