@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -23,6 +23,7 @@ from companion.autopilot.link import AutopilotLink
 from companion.autopilot.polled.streams import ENOUGH, STREAM_RATES_HZ
 from companion.avoidance.path import check_path
 from companion.commands.check_containment import judge_containment, judge_law, judge_mission
+from companion.commands.check_radios import find_policy, find_radios
 from companion.commands.drip_keys import find_signing
 from companion.commands.preflight import Preflight
 from companion.config import EXAMPLE_ID, Config, check_identity
@@ -46,15 +47,11 @@ from companion.ownship import Ownship
 from companion.runtime import clock
 from companion.runtime.links.kept_link import KeptLink
 from companion.runtime.links.no_vehicle import no_vehicle
-from companion.runtime.policy import judge_policy
-from companion.runtime.prepare import prepare
-from companion.runtime.radios import Radios
 from companion.runtime.record.disk import finished_runs, free_mb
 from companion.runtime.signing_key import KeptSigning
 from companion.runtime.stored_parameters import read_settings
 from companion.runtime.warm import warm_up, was_compiled
 
-_RADIO_S = 2.5
 _SETTLE_S = 2.0
 """Time after the vehicle was found, in which its telemetry streams are requested and begin."""
 _MEASURE_S = 4.0
@@ -100,8 +97,8 @@ def findings(config: Config, say: Callable[[str], None] | None = None) -> Prefli
     """Probe everything, and pass each line to `say` as soon as it is known."""
     found = Preflight()
     for probe in (
-        _configuration, judge_containment, find_signing, _settings, _kernels, judge_law, _disk, _policy,
-        _radios, _vehicle,
+        _configuration, judge_containment, find_signing, _settings, _kernels, judge_law, _disk, find_policy,
+        find_radios, _vehicle,
     ):  # fmt: skip
         before = len(found.findings)
         probe(config, found)
@@ -193,72 +190,6 @@ def _disk(config: Config, found: Preflight) -> None:
         found.yellow("disk", text, room)
     else:
         found.red("disk", f"{text}: no flight would be recorded", room)
-
-
-def _policy(config: Config, found: Preflight) -> None:
-    """Check the policy. A flight replaces a bad one by a fixed legal set; before flight it is an error."""
-    try:
-        lines = judge_policy(config)
-    except ConfigError as error:
-        found.red("policy", str(error), "correct the file, or set atmc.policy")
-    else:
-        for line in lines or ["none: in flight the transports stay as set in [remote_id]"]:
-            found.green("policy", line)
-
-
-# ---------------------------------------------------------------- radios
-
-
-def _radios(config: Config, found: Preflight) -> None:
-    failed: list[str] = []
-    radios = Radios(config, sending=False, failed=failed.append)
-    try:
-        end = clock.now_s() + _RADIO_S
-        waits = config.has_radio and bool(radios.radios)
-        while waits and clock.now_s() < end and not radios.health(clock.now_s()).ok:
-            radios.events(clock.now_s())
-            time.sleep(0.05)
-        _judge_radios(config, radios, failed, found)
-    finally:
-        radios.close()
-
-
-def _judge_radios(config: Config, radios: Radios, failed: Sequence[str], found: Preflight) -> None:
-    health = radios.health(clock.now_s())
-    # Watching without a radio may be intended. Flying without one requires law = "none" and is never ready.
-    chosen = not config.has_radio and config.flight.use == "watch"
-    for line in (*radios.lines(clock.now_s()), *failed) or (f"radio: {health.text}",):
-        what, _, text = line.partition(": ")
-        if line in failed:
-            found.red(what, text, "docs/radios.md says what this backend needs")
-        elif any(line.endswith(missing) for missing in health.missing):
-            found.yellow(what, text, "use another radio if you need what is missing")
-        elif chosen:
-            found.yellow(what, text, "configure a [[radio]] to broadcast and to receive Remote ID")
-        elif health.ok:
-            found.green(what, text)
-        else:
-            found.red(what, text, "docs/radios.md says what this backend needs")
-    if failed:
-        return
-    try:
-        prepared = prepare(config, radios)
-    except ConfigError as error:
-        what, _, text = str(error).partition(": ")
-        found.red(what, text, "change [remote_id], or use a radio that can")
-        return
-    for line in prepared.lines:
-        what, _, text = line.partition(": ")
-        if prepared.legal:
-            found.green(what, text)
-        else:
-            found.red(what, text, "change [remote_id], or use a radio that can")
-    if config.flight.use == "fly" and not config.has_radio:
-        found.red(
-            "radio",
-            "none configured, and avoidance.law is none: no aircraft is heard or avoided",
-            "configure a [[radio]]",
-        )
 
 
 # ---------------------------------------------------------------- vehicle

@@ -28,6 +28,8 @@ class Prepared:
     """Lines for the user: what goes on the air and why, and what is set on the radios."""
     legal: bool
     """Whether the region's law is kept and, if a radio is configured, something is broadcast."""
+    sent: frozenset[str]
+    """Transports that are broadcast."""
 
 
 def prepare(config: Config, radios: Radios, *, armed: bool = False) -> Prepared:
@@ -52,7 +54,7 @@ def prepare(config: Config, radios: Radios, *, armed: bool = False) -> Prepared:
             raise ConfigError(f"remote_id: {decided.reason}")
         if not (armed and decided.rates):
             nothing = "nothing is broadcast, unless the vehicle has a Remote ID module of its own"
-            return Prepared((f"remote ID: {nothing}: {decided.reason}",), legal=False)
+            return Prepared((f"remote ID: {nothing}: {decided.reason}",), False, frozenset())
     channel = radios.wifi_channel
     slow = too_slow(decided.rates, config.region, channel, config.flight.setpoint_rate_hz)
     if slow is not None and fly:
@@ -62,7 +64,7 @@ def prepare(config: Config, radios: Radios, *, armed: bool = False) -> Prepared:
         lines.append(f"remote ID: {slow}")
     lines += radios.configure(whole_rates(decided.rates, config.region, channel))
     sends = bool(decided.rates) or not config.has_radio
-    return Prepared(tuple(lines), legal=decided.legal and slow is None and sends)
+    return Prepared(tuple(lines), decided.legal and slow is None and sends, frozenset(decided.rates))
 
 
 def opened(config: Config, say: Callable[[str], None], *, sending: bool) -> tuple[Radios, str | None]:

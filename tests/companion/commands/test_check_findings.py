@@ -18,7 +18,8 @@ import pytest
 from companion.autopilot.wire import MavlinkWriter
 from companion.commands import check as check_module
 from companion.commands.check import check
-from companion.config import Config, IdentityConfig, RecordConfig, VehicleConfig
+from companion.config import AtmcConfig, Config, IdentityConfig, RecordConfig, RemoteIdConfig, VehicleConfig
+from companion.radio.ether.section import EtherRadio
 from tests.companion.commands.conftest import Vehicle
 
 
@@ -251,3 +252,21 @@ def test_a_folder_that_cannot_be_written(
     (tmp_path / "file").write_text("")
     found = listed(1, record=RecordConfig(folder=str(tmp_path / "file" / "runs")))
     assert found["disk"][0][:2] == ("red", f"{tmp_path}/file/runs: cannot be written")
+
+
+@pytest.mark.parametrize(
+    ("transports", "policy", "warned"),
+    [(("wifi",), None, True), (("ble4", "wifi"), None, False), (("wifi",), "fixed", False)],
+)
+def test_a_broadcast_without_ble4_is_warned_about(
+    listed: Callable[..., Any], transports: tuple[Any, ...], policy: str | None, warned: bool
+) -> None:
+    """Wi-Fi alone stops preventing losses of separation in a busy channel. A policy chooses by itself."""
+    found = listed(
+        1,  # no air is served there
+        radio=(EtherRadio(address="127.0.0.1:9"),),
+        remote_id=RemoteIdConfig(transports=transports),
+        atmc=AtmcConfig(policy=policy),
+    )
+    texts = [text for light, text, _ in found["remote ID"] if light == "yellow"]
+    assert any("no BLE 4" in text for text in texts) is warned
