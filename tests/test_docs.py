@@ -163,6 +163,7 @@ def test_the_figures_of_the_readme_are_those_of_the_table_of_peers():
         ("none", "none"),
         ("fly-away", "ArduPilot's"),
         ("paper", "the published"),
+        ("orca-constant:radius_m=22,horizon_s=20", "ORCA"),
         ("dmuca", "this"),
     ):
         column = [row[heads.index(law)].split(" / ") for row in rows]
@@ -171,3 +172,6 @@ def test_the_figures_of_the_readme_are_those_of_the_table_of_peers():
         assert int(found[1].replace(",", "")) == sum(int(entry[0]) for entry in column)
         if law != "none":
             assert found[2] == f"{min(deviations):.0f} to {max(deviations):.0f} m"
+    lost = {law: sum(int(row[n].split(" / ")[0]) for row in rows) for n, law in enumerate(heads) if n > 0}
+    fewest = min((law for law in lost if law != "dmuca"), key=lost.__getitem__)
+    assert fewest == "orca-constant:radius_m=22,horizon_s=20"  # the readme calls it the peer that lost fewest
