@@ -244,7 +244,7 @@ def adsb_vehicle(fields: Fields) -> AdsbVehicle | None:
 
     Raises:
         PeerDataError: an address of more than 24 bits, a place or altitude not on Earth, an undefined type of
-            altitude, a course beyond 360 deg, a saturated speed.
+            altitude.
     """
     icao, lat_e7, lon_e7, alt_mm, course, speed, climb, flags, _squawk, alt_type, name, emitter, tslc = fields
     if not flags & mavlink.ADSB_FLAGS_VALID_COORDS or (lat_e7 == 0 and lon_e7 == 0):
@@ -258,12 +258,9 @@ def adsb_vehicle(fields: Fields) -> AdsbVehicle | None:
             raise PeerDataError(f"ADSB_ALTITUDE_TYPE {alt_type} is not defined")
         alt_m = _altitude("altitude", alt_mm)
     velocity = None
-    if flags & mavlink.ADSB_FLAGS_VALID_VELOCITY and flags & mavlink.ADSB_FLAGS_VALID_HEADING:
-        # PX4's range of course includes 36000.
-        if course > 36_000:
-            raise PeerDataError(f"course {course / 100} deg is beyond 360")
-        if speed == 0xFFFF or not abs(climb) < 0x7FFF:
-            raise PeerDataError(f"velocity {speed}, {climb} cm/s is saturated")
+    known = flags & mavlink.ADSB_FLAGS_VALID_VELOCITY and flags & mavlink.ADSB_FLAGS_VALID_HEADING
+    # PX4's range of course includes 36000. An impossible velocity is unknown: the place may be true.
+    if known and course <= 36_000 and speed != 0xFFFF and abs(climb) < 0x7FFF:
         angle = math.radians(course / 100)
         velocity = (speed / 100 * math.cos(angle), speed / 100 * math.sin(angle), -climb / 100)
     return AdsbVehicle(

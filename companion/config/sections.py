@@ -195,8 +195,8 @@ class TrafficConfig(_Section, frozen=True):
     messages is kept for three of its longest recent gaps, at most twice as long as this."""
     max_clock_offset_s: Annotated[float, Meta(ge=0, le=60)] = 5.0
     max_speed_mps: Annotated[float, Meta(gt=0, le=400)] = 120.0
-    """A message that reports a higher speed is refused. It also bounds how far an aircraft of unknown
-    velocity can have flown."""
+    """Of a message that reports a higher speed only the position is used. It also bounds how far an aircraft
+    of unknown velocity can have flown."""
     keys: dict[str, str] = {}
     """Ed25519 public key for each identity, to check its signatures with: 64 hex digits, or the path
     (relative to this file) of a PEM file. An identity that is a DRIP entity tag is written as an IPv6

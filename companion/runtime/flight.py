@@ -66,6 +66,9 @@ _LOOK_S = 0.1
 _LET_GO_S = 2.0
 _ARMED_S = 3.0
 """Time in which an armed vehicle must be heard if a radio cannot be used. Heartbeats come once a second."""
+_PAUSED_S, _DISCARD_S = 1.0, 0.25
+"""After a pause of `_PAUSED_S` in reading the radios, Remote ID frames are discarded for `_DISCARD_S`: they
+waited for an unknown time, some of them in the kernel or a radio's own thread."""
 _COLLECT_S = 1.0
 """Period of the garbage collection, which runs right after a tick."""
 _LINES_KEPT = 8
@@ -84,6 +87,8 @@ class Flight:
         self._stalls = 0
         self._read_s: float | None = None
         """Start time of the last read that emptied the autopilot's input; None if it was not emptied."""
+        self._heard_s = self._discard_until_s = -math.inf
+        """When the radios were last read, and until when their frames are discarded."""
         self._refused = Refusals()
         self._lateness = Lateness()
         began_s = clock.now_s()
@@ -340,10 +345,11 @@ class Flight:
         self._take_in()
         now_s = clock.now_s()
         read_s = -math.inf if self._read_s is None else self._read_s
-        behind = now_s - read_s > STALL_S
+        if now_s - self._heard_s > _PAUSED_S:
+            self._discard_until_s = now_s + _DISCARD_S
+        self._heard_s = now_s
         for event in self.radio.events(now_s):
-            # Drop Remote ID frames that waited during a stall: their age is unknown, and the next come soon.
-            if not (behind and isinstance(event, RemoteIdHeard)):
+            if now_s >= self._discard_until_s or not isinstance(event, RemoteIdHeard):
                 self.onboard.hear(event)
         broadcasts = self.onboard.tick(now_s, read_s=read_s)
         self._kept_settings.keep(self.onboard.settings)

@@ -25,6 +25,9 @@ SIGMA_CLOCKLESS_M = 5.0
 """Standard deviation added (in quadrature) for a message that is dated by its reception."""
 VERTICAL_ACCURACY_M = 10.0
 """With a worse declared vertical accuracy, the height counts as unknown."""
+ALTITUDES_M = (-500.0, 20_000.0)
+"""A height beyond these altitudes is impossible and counts as unknown. Otherwise its aircraft, which may be
+at our height, would be avoided nowhere."""
 
 
 @dataclass(slots=True)
@@ -42,6 +45,8 @@ class Fix:
     """How far the timestamp lies in our future, trusted or not; None without a timestamp or without our
     UTC."""
     content: Location
+    too_fast: bool = False
+    """Whether the message declares an impossible speed. `velocity` is then unknown: the place may be true."""
 
 
 def make_fix(
@@ -62,12 +67,15 @@ def make_fix(
     """
     if message.lat_deg is None or message.lon_deg is None:
         return None
-    vertical_known = message.alt_geodetic_m is not None and separation_m is not None
+    altitude_m = message.alt_geodetic_m
+    if altitude_m is not None and not ALTITUDES_M[0] <= altitude_m <= ALTITUDES_M[1]:
+        altitude_m = None
+    vertical_known = altitude_m is not None and separation_m is not None
     if message.vertical_accuracy_m is not None and message.vertical_accuracy_m > VERTICAL_ACCURACY_M:
         vertical_known = False
     alt_msl_m = frame.alt_m
-    if message.alt_geodetic_m is not None and separation_m is not None:
-        alt_msl_m = message.alt_geodetic_m - separation_m
+    if altitude_m is not None and separation_m is not None:
+        alt_msl_m = altitude_m - separation_m
     # Senders declare their GNSS receiver's own estimate, which is nearer to one sigma than to the 95 % bound.
     accuracy = message.horizontal_accuracy_m
     sigma = SIGMA_UNKNOWN_M if accuracy is None else min(accuracy, SIGMA_MOST_M)

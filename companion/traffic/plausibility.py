@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 from companion.events import TrackFlagged
 from companion.remote_id.messages import Location, Status
-from companion.traffic.fix import Fix
+from companion.traffic.fix import ALTITUDES_M, Fix
 
 
 class Flag(enum.StrEnum):
@@ -106,7 +106,6 @@ repeated for up to 1 s more."""
 FUTURE_S: Final = 0.5
 """How far a timestamp may lie in our future, in addition to its declared accuracy. Our own clock is accurate
 to some tenths of a second."""
-_ALTITUDES_M: Final = (-500.0, 20_000.0)
 _VERTICAL_MPS: Final = 62.0
 """Greatest vertical speed that a message can express."""
 _ACCURACY_UNKNOWN_M: Final = 10.0
@@ -168,7 +167,8 @@ def message_doubts(fix: Fix) -> list[Flag]:
         elif lead_s > FUTURE_S + (content.timestamp_accuracy_s or 0.0):
             bad.append(Flag.FUTURE_TIMESTAMP)
     altitude = content.alt_geodetic_m
-    if altitude is not None and not _ALTITUDES_M[0] <= altitude <= _ALTITUDES_M[1]:
+    impossible = altitude is not None and not ALTITUDES_M[0] <= altitude <= ALTITUDES_M[1]
+    if impossible or fix.too_fast:
         bad.append(Flag.IMPOSSIBLE_VALUES)
     return bad
 

@@ -200,6 +200,19 @@ class Track:
             self.sample_s, self.received_s = other.sample_s, max(self.received_s, other.received_s)
             self.sigma_m, self.sigma_mps, self.content = other.sigma_m, other.sigma_mps, other.content
 
+    def as_fix(self) -> Fix:
+        """The message that its state is from."""
+        return Fix(
+            position=self.position_ned_m,
+            velocity=self.velocity_ned_mps if self.velocity_known else None,
+            sigma_m=self.sigma_m,
+            sigma_mps=self.sigma_mps,
+            vertical_known=self.vertical_known,
+            stamp_s=self.sample_s if self.past_clocked else None,
+            lead_s=None,
+            content=self.content,
+        )
+
     def remember(self, fix: Fix) -> None:
         """Learn from the message just taken how fast the aircraft deviates from its predictions.
 
@@ -408,7 +421,12 @@ def lead(leads_s: deque[float]) -> float:
 
 
 def same(a: Location, b: Location) -> bool:
-    """Whether one Location is a repetition of the other."""
+    """Whether one Location is a repetition of the other.
+
+    Without a timestamp, one that differs in anything is new: an aircraft may climb above one place.
+    """
+    if a.timestamp_s is None:
+        return a == b
     return (a.timestamp_s, a.lat_deg, a.lon_deg) == (b.timestamp_s, b.lat_deg, b.lon_deg)
 
 

@@ -35,7 +35,7 @@ from companion.traffic.latest_messages import LatestMessages
 from companion.traffic.matching import match, same_aircraft
 from companion.traffic.own_flight import OwnFlight
 from companion.traffic.places import neighbours_of
-from companion.traffic.plausibility import Flag, MotionWindow, Reports, status_doubts
+from companion.traffic.plausibility import UNTRUSTED, Flag, MotionWindow, Reports, status_doubts
 from companion.traffic.right_of_way import rank_of
 from companion.traffic.senders.reception import Reception
 from companion.traffic.senders.source import Source
@@ -60,7 +60,8 @@ class TrafficCounts:
     old: int = 0
     """The message was not newer than the track."""
     implausible: int = 0
-    """The reported speed or position is impossible."""
+    """The reported position is impossible, and the message dropped; or the speed is, and only the position
+    used."""
     split: int = 0
     """The message opened another track of a known identity, because one aircraft cannot be at both places."""
     clock: int = 0
@@ -175,9 +176,12 @@ class Traffic:
         fed: list[Track] = []
         for message in locations:
             fix = make_fix(message, now_s, utc_offset_s, frame, separation_m, self.config.max_clock_offset_s)
-            if fix is None or self._is_implausible(fix):
+            if fix is None or self._is_too_far(fix):
                 self._doubt_place(source, message, fix)
                 continue
+            if fix.velocity is not None and math.hypot(*fix.velocity) > self.config.max_speed_mps:
+                fix.velocity, fix.too_fast = None, True
+                self.counts.implausible += 1
             self.counts.clock += fix.stamp_s is None
             source.fed.clear()
             track = self._take(source, fix, now_s)
@@ -252,7 +256,18 @@ class Traffic:
         if source.identity is None:
             source.identity = message.uas_id
             self._rename(source.key, message.uas_id, now_s)
+        if message.uas_id == self.own_uas_id and not source.ours:
+            source.ours = True
+            self._forget_echoes(source, now_s)
         source.latest.keep_id(message, source.identity)
+
+    def _forget_echoes(self, source: Source, now_s: float) -> None:
+        """Remove the tracks that our own transmitter opened before it named us (BLE 4)."""
+        for track in self._of(source):
+            alone = list(track.sources) == [source.key]
+            if alone and self._own.distance_m(track.as_fix(), now_s) < math.inf:
+                self.counts.own_echo += 1
+                self._table.remove(track)
 
     def _rename(self, old: str, identity: str, now_s: float) -> None:
         """Give the tracks of an address their identity once it is known, up to `TRACKS_PER_IDENTITY`.
@@ -263,7 +278,7 @@ class Traffic:
         for track in list(self._table.by_identity.get(old, ())):
             others = [t for t in self._table.by_identity.get(identity, ()) if t is not track]
             known = same_aircraft(track, others)
-            if known is not None and not track.doubts.flags:
+            if known is not None and not track.doubts.flags & UNTRUSTED:
                 self._table.remove(track)
                 for key in track.sources:
                     if key not in known.sources:
@@ -283,11 +298,9 @@ class Traffic:
 
     # ------------------------------------------------------------ one Location
 
-    def _is_implausible(self, fix: Fix) -> bool:
+    def _is_too_far(self, fix: Fix) -> bool:
         (north, east, _), (own_north, own_east, _) = fix.position, self._own.position
-        if math.hypot(north - own_north, east - own_east) > _MAX_RANGE_M:
-            return True
-        return fix.velocity is not None and math.hypot(*fix.velocity) > self.config.max_speed_mps
+        return math.hypot(north - own_north, east - own_east) > _MAX_RANGE_M
 
     def _doubt_place(self, source: Source, message: Location, fix: Fix | None) -> None:
         """Count a Location that updates no track as evidence about the tracks of its address."""
@@ -309,7 +322,7 @@ class Traffic:
             known = self._table.by_identity.get(source.key, [])
             identity = source.key
         track, away = match(known, source, fix, now_s, self.config.max_speed_mps)
-        ours = source.identity == self.own_uas_id or source.latest.address in self.own_addresses
+        ours = source.ours or source.latest.address in self.own_addresses
         if ours and self._own.distance_m(fix, now_s) < away:
             self.counts.own_echo += 1
             return None

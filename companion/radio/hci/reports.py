@@ -1,4 +1,8 @@
-"""Assembles advertising reports to complete frames. Long advertisements arrive in several reports."""
+"""Assembles advertising reports to frames. Long advertisements arrive in several reports.
+
+An advertisement whose end the controller did not receive is used as far as it goes, because the messages
+before that are whole.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +17,8 @@ _REMOTE_ID_HEAD = b"\x16\xfa\xff\x0d"
 """Service data of ASTM Remote ID. Advertisements without it belong to other devices."""
 _MAX_DATA = 1650
 """Greatest length of an advertisement (Core vol. 4 part E section 7.8.57)."""
+_HEAD_SIZE = 5
+"""Length and `_REMOTE_ID_HEAD`."""
 _MAX_PARTIAL = 64
 _MAX_AGE_S = 1.0
 """Longest age of a partial advertisement. Its parts follow each other within its airtime."""
@@ -41,7 +47,7 @@ class Reassembler:
         self._partial: OrderedDict[tuple[bytes, int], _Partial] = OrderedDict()
 
     def add_report(self, report: Report, now_s: float) -> HeardFrame | None:
-        """Return the frame that this report completes, if it may hold Remote ID."""
+        """Return the frame that this report ends, if it may hold Remote ID."""
         data = report.data
         if not report.legacy:
             whole = self._join(report, now_s)
@@ -56,14 +62,24 @@ class Reassembler:
     def _join(self, report: Report, now_s: float) -> bytes | None:
         key = (report.address, report.sid)
         before = self._partial.pop(key, None)
-        if before is not None and now_s - before.since_s > _MAX_AGE_S:
+        if before is not None and (now_s - before.since_s > _MAX_AGE_S or _begins_anew(before, report.data)):
             before = None
         data = report.data if before is None else before.data + report.data
         if report.data_status is DataStatus.COMPLETE:
             return data
-        if report.data_status is not DataStatus.MORE_TO_COME or len(data) > _MAX_DATA:
+        if report.data_status is DataStatus.RESERVED or len(data) > _MAX_DATA:
             return None
+        if report.data_status is DataStatus.TRUNCATED:
+            return data
         if len(self._partial) >= _MAX_PARTIAL:
             self._partial.popitem(last=False)
         self._partial[key] = _Partial(data, now_s if before is None else before.since_s)
         return None
+
+
+def _begins_anew(before: _Partial, data: bytes) -> bool:
+    """Whether a report is the first of the next advertisement, because the end of the one before was lost.
+
+    Put together, the two would hold a message that nobody sent, such as a Location with a false altitude.
+    """
+    return len(data) >= _HEAD_SIZE and data[:_HEAD_SIZE] == before.data[:_HEAD_SIZE]

@@ -107,10 +107,13 @@ def _places(frames: Sequence[RemoteIdHeard], frame: LocalFrame, separation_m: fl
             down = frame.alt_m + separation_m - found.alt_geodetic_m
         speed, course = found.speed_mps or 0.0, math.radians(found.direction_deg or 0.0)
         accuracy = found.horizontal_accuracy_m
+        along_deg = found.lon_deg - frame.lon_deg
+        if abs(along_deg) > 180.0:  # across the antimeridian
+            along_deg -= math.copysign(360.0, along_deg)
         rows.append(
             (
                 _M_PER_DEG * (found.lat_deg - frame.lat_deg),
-                east * (found.lon_deg - frame.lon_deg),
+                east * along_deg,
                 down,
                 speed * math.cos(course),
                 speed * math.sin(course),

@@ -40,6 +40,8 @@ class Source:
     identity: str | None = None
     """Identity from the first Basic ID. Later ones do not change it, so that a sender of two identities does
     not rename its track back and forth."""
+    ours: bool = False
+    """Whether one of its Basic IDs is ours. The first may be our registration, or one that our module has."""
     fed: list[Track] = field(default_factory=list)
     """The track to which its last Location belongs, if any."""
     reported: deque[Reported] = field(default_factory=lambda: deque(maxlen=_REPORTED))

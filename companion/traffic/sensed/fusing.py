@@ -22,6 +22,9 @@ _SIGMAS: Final = 3.0
 _ROOM_M, _HIGH_M, _ROOM_MPS = 2.0, 20.0, 2.5
 _GOOD_MPS: Final = 2.5
 """A sensed object whose velocity has a larger error agrees with no track."""
+_MOST_M: Final = 3.0
+"""Largest declared error that makes room. An aircraft that declares a larger one is not left out for an
+obstacle tens of metres away, around which only the margin of a sensor is kept."""
 _OLDEST_S: Final = 3.0
 
 Key = tuple[bool, str]
@@ -82,7 +85,7 @@ def _agree(now_s: float, other: Neighbour, one: Followed, own_sigma_m: float) ->
     if other.crewed or other.silent or other.age_s > _OLDEST_S or one.sigma_mps > _GOOD_MPS:
         return False
     here, there = one.at(now_s), _predicted(other)
-    room_m = _ROOM_M + one.across_m + _SIGMAS * math.hypot(other.sigma_m, own_sigma_m)
+    room_m = _ROOM_M + one.across_m + _SIGMAS * math.hypot(min(other.sigma_m, _MOST_M), own_sigma_m)
     if math.hypot(here[0] - there[0], here[1] - there[1]) > room_m:
         return False
     if other.vertical_known and one.vertical_known and abs(here[2] - there[2]) > _HIGH_M:

@@ -286,15 +286,22 @@ def test_no_position_is_no_traffic(over: dict[str, int]) -> None:
         {"altitude": 50_000_001},
         {"altitude": -1_000_001},
         {"altitude_type": 2},
-        {"heading": 36001},
-        {"hor_velocity": 65535},
-        {"ver_velocity": 32767},
-        {"ver_velocity": -32768},
     ],
 )
 def test_impossible_traffic_is_bad_data(over: dict[str, int]) -> None:
     with pytest.raises(PeerDataError):
         read(adsb(**over))
+
+
+@pytest.mark.parametrize(
+    "over",
+    [{"heading": 36001}, {"hor_velocity": 65535}, {"ver_velocity": 32767}, {"ver_velocity": -32768}],
+)
+def test_an_impossible_velocity_hides_no_aircraft(over: dict[str, int]) -> None:
+    heard = read(adsb(**over))
+    assert isinstance(heard, AdsbVehicle)
+    assert heard.velocity_ned_mps is None
+    assert heard.lat_deg == pytest.approx(read(adsb()).lat_deg)
 
 
 @pytest.mark.parametrize(

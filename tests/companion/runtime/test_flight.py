@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import signal
 import socket
@@ -13,6 +14,8 @@ import msgspec
 import pytest
 
 from companion.errors import ConfigError
+from companion.events import RadioState, RemoteIdHeard
+from companion.remote_id.messages import Location
 from companion.runtime import clock
 from companion.runtime.flight import Flight
 from companion.runtime.links.byte_link import Received
@@ -252,3 +255,79 @@ def test_what_was_let_leave_before_a_stall_does_not_leave_after_it(monkeypatch, 
     flight._send()
     assert stub.sent == ([b"command"] if leaves else [])
     assert (flight._stalls, stub.discarded, len(stub.said)) == ((0, 0, 0) if leaves else (1, 1, 1))
+
+
+class Loop:
+    """All that a tick touches, on a clock of its own. The autopilot's input is always emptied."""
+
+    settings = None
+
+    def __init__(self, monkeypatch):
+        self.now_s, self.up, self.waiting, self.heard = 100.0, True, [], []
+        monkeypatch.setattr(clock, "now_s", lambda: self.now_s)
+        self.flight = Flight.__new__(Flight)
+        vars(self.flight).update(
+            onboard=self, link=self, radio=self, _kept_settings=self, _server=None, _say=lambda _line: None
+        )
+        vars(self.flight).update(_ticks=0, _stalls=0, _status_s=math.inf, _read_s=None)
+        vars(self.flight).update(_heard_s=-math.inf, _discard_until_s=-math.inf)
+
+    def tick_after(self, passed_s, *events):
+        """The events that are taken from the radio after a pause."""
+        self.now_s += passed_s
+        self.waiting, self.heard = list(events), []
+        self.flight._tick()
+        return self.heard
+
+    def receive(self, *_args, **_more):
+        return Received(b"", emptied=True)
+
+    def events(self, _now_s):
+        return self.waiting
+
+    def hear(self, event):
+        self.heard.append(event)
+
+    def tick(self, _now_s, **_more):
+        return []
+
+    def drain(self, _now_s):
+        return b""
+
+    def send(self, _data):
+        pass
+
+    keep = send
+
+    def discard(self):
+        pass
+
+
+FRAME = RemoteIdHeard(transport="wifi", address="a", messages=(Location(),))
+STATE = RadioState(can_send=("wifi",))
+
+
+def test_frames_that_waited_while_the_program_was_stopped_are_discarded(monkeypatch):
+    """They would be dated by their reception, as if their aircraft were there now."""
+    loop = Loop(monkeypatch)
+    loop.tick_after(0.05)
+    loop.tick_after(0.3)
+    assert loop.tick_after(0.05, FRAME) == [FRAME]
+    assert loop.tick_after(5.0, FRAME, STATE) == [STATE]
+    # The thread of a Bluetooth radio was stopped, too. It reads what waited a moment later.
+    assert loop.tick_after(0.05, FRAME) == []
+    assert loop.tick_after(0.3, FRAME) == [FRAME]
+
+
+def test_a_slow_loop_still_hears(monkeypatch):
+    loop = Loop(monkeypatch)
+    loop.tick_after(0.05)
+    assert [loop.tick_after(0.6, FRAME) for _ in range(4)] == [[FRAME]] * 4
+
+
+def test_aircraft_are_heard_while_the_link_is_down(monkeypatch):
+    loop = Loop(monkeypatch)
+    loop.tick_after(0.05)
+    loop.tick_after(0.3)
+    loop.up = False
+    assert [loop.tick_after(0.05, FRAME) for _ in range(20)] == [[FRAME]] * 20

@@ -8,6 +8,7 @@ import random
 import pytest
 
 from companion.remote_id.messages import IdType
+from companion.traffic.plausibility import Flag
 from tests.companion.traffic.listening import Listener, basic, location
 
 
@@ -44,6 +45,19 @@ def test_what_was_nameless_on_one_transport_joins_the_track_that_has_the_name():
     (track,) = listener.tracks.values()
     assert track.sample_s == pytest.approx(11.5)
     assert listener.traffic.counts.split == 0
+
+
+def test_a_sender_without_a_clock_joins_its_named_track_too():
+    """Its timestamps raise a flag, but no doubt about whose messages these are."""
+    listener = Listener()
+    for k in range(20):
+        north, now = -300.0 + 4.0 * k, 10.0 + 0.5 * k
+        told = {"timestamp_s": None, "speed_mps": 8.0, "direction_deg": 0.0}
+        listener.hear(now, basic("X"), location(north, **told), address="w", transport="wifi")
+        listener.hear(now + 0.2, location(north + 1.6, **told), address="b", transport="ble4")
+    assert Flag.NO_TIMESTAMP in listener.tracks["ble4/b"].doubts.flags
+    listener.hear(now + 0.3, basic("X"), address="b", transport="ble4")
+    assert list(listener.tracks) == ["X"]
 
 
 def test_a_nameless_track_elsewhere_stays_one_of_its_own():

@@ -14,6 +14,7 @@ from companion.config import TrafficConfig
 from companion.remote_id.messages import Location
 from companion.traffic.fix import SIGMA_MOST_M, SIGMA_UNKNOWN_M
 from companion.traffic.matching import _follows
+from companion.traffic.plausibility import Flag
 from companion.traffic.track import Earlier, Track, flown, near, reach
 from tests.companion.traffic.listening import SEPARATION_M, UTC_OFFSET_S, Listener, basic, location
 
@@ -133,18 +134,57 @@ def test_the_campaign_keeps_tracks_as_long_as_the_default_configuration():
     assert TrafficConfig().expire_after_s == kernels.KEPT_S
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [
-        location(north_m=60_000.0),
-        location(speed_mps=130.0),
-    ],
-)
-def test_what_cannot_be_is_not_believed(bad):
+def test_a_place_beyond_all_reception_is_not_believed():
     listener = Listener()
-    listener.hear(10.0, basic("X"), bad)
+    listener.hear(10.0, basic("X"), location(north_m=60_000.0))
     assert not listener.tracks
     assert listener.traffic.counts.implausible == 1
+
+
+def test_an_impossible_speed_hides_no_aircraft():
+    """Its place may be true: some senders write the largest speed for an unknown one."""
+    listener = Listener()
+    for k in range(3):
+        listener.hear(10.0 + k, basic("X"), location(5.0 * k, timestamp_s=10.0 + k, speed_mps=254.25))
+    (other,) = listener.traffic.neighbours(12.0)
+    assert other.position_ned_m[:2] == pytest.approx((10.0, 0.0), abs=0.1)
+    assert other.velocity_ned_mps[0] == pytest.approx(5.0, abs=0.5)  # from its places
+    assert listener.traffic.counts.implausible == 3
+    assert Flag.IMPOSSIBLE_VALUES in listener.tracks["X"].doubts.flags
+
+
+@pytest.mark.parametrize("altitude_m", [31767.5, -999.5, 20_000.5])
+def test_an_impossible_altitude_hides_no_aircraft(altitude_m):
+    """It is avoided at any height instead of at one where nobody flies."""
+    listener = Listener()
+    listener.hear(10.0, basic("X"), location(alt_geodetic_m=altitude_m))
+    (other,) = listener.traffic.neighbours(10.0)
+    assert not other.vertical_known
+
+
+def test_an_aircraft_without_clock_that_climbs_above_one_place_is_followed():
+    listener = Listener()
+    for k in range(14):
+        height = {"alt_geodetic_m": 507.0 - 5.0 * max(0, k - 3), "vertical_speed_mps": 0.0 if k < 4 else -5.0}
+        listener.hear(10.0 + k, basic("X"), location(timestamp_s=None, speed_mps=0.0, **height))
+    other = listener.traffic.neighbours(23.0)[0]
+    assert other.position_ned_m[2] + other.age_s * other.velocity_ned_mps[2] == pytest.approx(-10.0, abs=1.0)
+
+
+@pytest.mark.parametrize("names", [("OWN",), ("OWN", "REGISTRATION"), ("REGISTRATION", "OWN")])
+def test_our_own_transmitter_of_unknown_address_becomes_no_aircraft_on_ble4(names):
+    """An ArduRemoteID module reports no address. Our own receiver hears a Location before the name."""
+    listener = Listener()
+    for k in range(100):
+        now = 10.0 + 0.1 * k
+        north = 0.8 * math.sin(now / 7)
+        listener.traffic.note_own(now, (north, 0.0, 0.0), (0.0, 0.0, 0.0))
+        if k % 5 in (0, 3):
+            place = location(north, 0.0, round(now, 1), 0.0, vertical_speed_mps=0.0)
+            listener.hear(now, place, address="module", transport="ble4")
+        if k % 5 == 4:
+            listener.hear(now, basic(names[k // 5 % len(names)]), address="module", transport="ble4")
+    assert listener.traffic.neighbours(now) == []
 
 
 def test_near_ghosts_do_not_push_out_an_established_track():

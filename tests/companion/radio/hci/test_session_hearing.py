@@ -7,7 +7,7 @@ import random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.radio.frames_io import FrameSender
+from companion.radio.frames_io import FrameReceiver, FrameSender
 from companion.radio.hci.advertising import HciCounts
 from companion.radio.hci.reports import HeardFrame
 from companion.radio.hci.session import HciSession
@@ -51,21 +51,41 @@ def test_parts_are_put_together_by_address_and_sid() -> None:
     assert [frame.data for frame in heard] == [two, one]
 
 
-def test_parts_that_are_truncated_late_or_endless_are_dropped() -> None:
+def test_parts_that_are_late_or_endless_are_dropped() -> None:
     host = Host(Controller())
     (frame,) = host.sender.frames(BLE5, [LOCATION, SERIAL])
-    more, cut = 0x20, 0x40
-    assert (
-        host.hear(extended_report(frame[:20], event_type=more), extended_report(frame[20:], event_type=cut))
-        == []
-    )
-    assert host.hear(extended_report(frame)) != []
+    more = 0x20
     host.hear(extended_report(frame[:20], event_type=more))
     host.now_s += 2.0
     assert host.hear(extended_report(frame[20:])) == []
+    host.hear(extended_report(frame, event_type=more))
     for _ in range(100):
-        assert host.hear(extended_report(frame + bytes(100), event_type=more)) == []
+        assert host.hear(extended_report(bytes(100), event_type=more)) == []
+    assert all(len(part.data) <= 1650 for part in host.session._reassembler._partial.values())
     assert host.hear(extended_report(frame, sid=3)) != []
+
+
+def test_an_advertisement_that_is_cut_short_is_used_as_far_as_it_goes() -> None:
+    """The link may lose the end of a long one; the Location is at the beginning."""
+    host = Host(Controller())
+    (frame,) = host.sender.frames(BLE5, [LOCATION, SERIAL])
+    more, cut = 0x20, 0x40
+    heard = host.hear(
+        extended_report(frame[:20], event_type=more), extended_report(frame[20:40], event_type=cut)
+    )
+    assert [part.data for part in heard] == [frame[:40]]
+    event = FrameReceiver().receive(BLE5, ADDRESS, heard[0].data)
+    assert event is not None
+    assert event.messages == (LOCATION,)
+    assert host.hear(extended_report(frame)) != []
+
+
+def test_an_advertisement_whose_end_is_lost_is_not_mixed_with_the_next_one() -> None:
+    host = Host(Controller())
+    (frame,) = host.sender.frames(BLE5, [SERIAL, LOCATION])
+    for size in range(5, len(frame)):
+        first = extended_report(frame[:size], event_type=0x20)
+        assert [part.data for part in host.hear(first, first, extended_report(frame[size:]))] == [frame]
 
 
 def test_many_unfinished_advertisements_do_not_grow_memory() -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import random
 
 import pytest
 
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard
+from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, SelfId, UaType
 from companion.traffic.flood import choice
 from companion.traffic.tracks import Traffic
@@ -265,3 +267,33 @@ def test_the_urgency_of_many_agrees_with_the_judgement_of_each():
         assert away_m[k] == pytest.approx(math.dist(fresh.tracks[track_id].position_ned_m, sky.own), rel=0.01)
     assert 50 <= threats <= 70
     assert min(alike, same_class) >= 0.95 * threats  # the others are on a border
+
+
+@pytest.mark.parametrize("lon_deg", [10.0, 179.9995, -179.9995])
+def test_a_flood_hides_no_aircraft_on_the_other_side_of_the_antimeridian(lon_deg):
+    """It comes towards us; two hundred others in each step fly away."""
+    frame, rng = LocalFrame(0.0, lon_deg, 0.0), random.Random(1)
+    traffic = Traffic(TrafficConfig(), "OWN")
+    ahead = math.copysign(1.0, lon_deg)
+
+    def sent(address, north, east, v_north, v_east):
+        lat_deg, lon_deg, _ = frame.to_geodetic(north, east, -50.0)
+        place = Location(
+            lat_deg=lat_deg, lon_deg=lon_deg, alt_geodetic_m=50.0, speed_mps=math.hypot(v_north, v_east),
+            direction_deg=math.degrees(math.atan2(v_east, v_north)) % 360.0, vertical_speed_mps=0.0,
+            horizontal_accuracy_m=3.0, vertical_accuracy_m=3.0,
+        )  # fmt: skip
+        name = BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.OTHER, uas_id=address)
+        return RemoteIdHeard(transport="wifi", address=address, messages=(name, place))
+
+    for step in range(20):
+        now = 0.2 * step
+        traffic.note_own(now, (0.0, 0.0, -50.0), (0.0, 10.0 * ahead, 0.0))
+        frames = []
+        for number in range(200):
+            angle, away = rng.uniform(0.0, 6.28), rng.uniform(300.0, 500.0)
+            n, e = math.cos(angle), math.sin(angle)
+            frames.append(sent(f"F{step}-{number}", away * n, away * e, 8.0 * n, 8.0 * e))
+        frames.append(sent("TRUE", 0.0, ahead * (200.0 - 10.0 * now), 0.0, -10.0 * ahead))
+        traffic.hear_all(frames, now, UTC_OFFSET_S, frame, 0.0)
+    assert "TRUE" in traffic.tracks

@@ -44,8 +44,9 @@ def test_places_agree_within_three_deviations_of_both_and_the_width_and_two_metr
         place[way] += sign * off
         return agrees(heard((place[0], place[1], 0.0), sigma_m=sigma_m), followed(across_m=across_m))
 
-    for sigma_m, across_m in ((2.0, 1.0), (6.0, 0.0)):
-        expected = ROOM_M + across_m + 3.0 * math.hypot(sigma_m, OWN_SIGMA_M)
+    # A declared error of more than 3 m makes no more room.
+    for sigma_m, across_m in ((2.0, 1.0), (3.0, 0.0), (6.0, 0.0)):
+        expected = ROOM_M + across_m + 3.0 * math.hypot(min(sigma_m, 3.0), OWN_SIGMA_M)
         found = edge(lambda off, s=sigma_m, a=across_m: near(off, s, a), 90.0)
         assert found == pytest.approx(expected, rel=1e-6)
 

@@ -71,6 +71,14 @@ def test_in_doubt_both_are_avoided(other):
     assert len(agree(world, 4.0, heard(world, **other))) == 2
 
 
+@pytest.mark.parametrize(("sigma_m", "beside_m"), [(10.0, 20.0), (10.0, 30.0), (15.0, 45.0)])
+def test_an_aircraft_far_beside_an_obstacle_is_not_left_out_for_it(sigma_m, beside_m):
+    """However large the error is that it declares."""
+    world = hovering()
+    names = agree(world, 3.0, heard(world, 25.0, 3.0 + beside_m, sigma_m=sigma_m))
+    assert "OTHER" in names
+
+
 def test_two_that_claim_one_place_are_both_avoided():
     world = hovering()
     names = agree(world, 4.0, heard(world, 25.5, 2.0), heard(world, 24.5, 3.0, track_id="SECOND"))
