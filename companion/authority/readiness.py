@@ -25,6 +25,7 @@ _GUARDED = frozenset({FlightMode.MISSION})
 _LISTEN_S = 3.0
 """How long after its first heartbeat a vehicle is not taken if `vehicle.system_id` is not configured. In
 three heartbeat periods a second autopilot on the link would be heard."""
+_FLYING_ALREADY = "vehicle was flying when the companion started and must land first (flight.take_in_flight)"
 
 
 class Readiness:
@@ -45,6 +46,8 @@ class Readiness:
         self.lost: str | None = None
         """Why the gate blocks all commands until authority is given back; None if it does not."""
         self._seen_down = config.flight.take_in_flight
+        self._flying_told = config.flight.use == "watch"
+        """Whether the pilot knows that the vehicle must land first."""
         self._found_s: float | None = None
         """Time at which the vehicle was first heard."""
 
@@ -63,8 +66,11 @@ class Readiness:
             return []
         return [Say(severity=Severity.WARNING, text=f"DMUCA: cannot take control: {event.lost}")]
 
-    def look(self, now_s: float, shown: Sequence[Heartbeat]) -> None:
+    def look(self, now_s: float, shown: Sequence[Heartbeat]) -> list[Command]:
         """Note whether the vehicle has been heard, and whether it has been on the ground or disarmed.
+
+        Returns a message if it must land first, once: after a restart in flight the pilot would otherwise
+        rely on a companion that does nothing.
 
         Args:
             shown: reported modes, as in `Control.step`.
@@ -72,6 +78,11 @@ class Readiness:
         if self._found_s is None and shown:
             self._found_s = now_s
         self._seen_down = self._seen_down or self.down(now_s, shown)
+        flies = self._own.armed and self._own.landed(now_s) is Landed.IN_AIR
+        if self._seen_down or self._flying_told or not flies:
+            return []
+        self._flying_told = True
+        return [Say(severity=Severity.WARNING, text=f"DMUCA: cannot take control: {_FLYING_ALREADY}")]
 
     def down(self, now_s: float, shown: Sequence[Heartbeat]) -> bool:
         """Whether the vehicle is on the ground or disarmed, if only for a moment.
@@ -111,7 +122,7 @@ class Readiness:
         if config.vehicle.system_id == 0 and (self._found_s is None or now_s - self._found_s < _LISTEN_S):
             return "listening for other autopilots on the link (vehicle.system_id is not set)"
         if not self._seen_down:
-            return "vehicle was flying when the companion started and must land first (flight.take_in_flight)"
+            return _FLYING_ALREADY
         if own.landed(now_s) is not Landed.IN_AIR:
             return f"vehicle is not in the air (landed state: {own.landed(now_s).value})"
         if not self.mode_is_ours_to_end(own.heartbeat, ours):

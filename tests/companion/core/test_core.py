@@ -18,6 +18,7 @@ from companion.events import (
     ModeRefused,
     Say,
     SetMode,
+    Severity,
     VelocitySetpoint,
 )
 from companion.remote_id import codec
@@ -156,7 +157,11 @@ def test_a_late_loop_commands_nothing_in_that_step(flying):
 
 def test_a_start_in_flight_takes_nothing_until_the_vehicle_has_been_down(make_bench):
     bench = make_bench(take_in_flight=False)
-    bench.step(100)
+    said = [c.text for c in bench.step(100) if isinstance(c, Say) and c.severity is Severity.WARNING]
+    assert said == [
+        "DMUCA: cannot take control: vehicle was flying when the companion started and must land "
+        "first (flight.take_in_flight)"
+    ]
     assert bench.core.state is State.STANDBY
     bench.landed, bench.armed = Landed.ON_GROUND, False
     bench.step(10)
