@@ -22,6 +22,7 @@ from companion.events import (
 from companion.ownship import Ownship
 
 _GUARDED = frozenset({FlightMode.MISSION})
+_HOLD = frozenset({FlightMode.HOLD})
 _LISTEN_S = 3.0
 """How long after its first heartbeat a vehicle is not taken if `vehicle.system_id` is not configured. In
 three heartbeat periods a second autopilot on the link would be heard."""
@@ -95,10 +96,14 @@ class Readiness:
     def mode_is_ours_to_end(self, heartbeat: Heartbeat, ours: frozenset[FlightMode]) -> bool:
         """Whether the vehicle may be taken from the mode in this heartbeat.
 
+        A hold may also be a failsafe's: PX4 holds for a lost radio or ground station, by itself or before it
+        returns. That hold is not ours to end.
+
         Args:
             ours: modes that the vehicle may be in because of our own commands.
         """
-        return heartbeat.mode in ours | (_GUARDED if self._guards else DIALECTS[heartbeat.firmware].take_from)
+        modes = _GUARDED if self._guards else DIALECTS[heartbeat.firmware].take_from
+        return heartbeat.mode in ours | (modes - _HOLD if heartbeat.failsafe else modes)
 
     def waits_for(self, now_s: float, ours: frozenset[FlightMode]) -> str | None:
         """Why the vehicle cannot be taken now, in words; None if it can.
@@ -129,6 +134,8 @@ class Readiness:
             dialect = DIALECTS[own.heartbeat.firmware]
             modes = dialect.guard_in_name if self._guards else dialect.take_from_names
             mode = mode_name(own.heartbeat)
+            if own.heartbeat.failsafe and own.mode is FlightMode.HOLD and own.mode in dialect.take_from:
+                mode += ", which a failsafe may have selected (HEARTBEAT.system_status)"
             return f"vehicle is in mode {mode}; the companion takes control only from {modes}"
         if config.region.transport_sets and self._broadcaster.trouble is not None:
             return self._broadcaster.trouble
