@@ -17,7 +17,7 @@ from companion.autopilot.counts import LinkCounts
 from companion.autopilot.dialect import AUTOPILOT_INVALID, refusal
 from companion.autopilot.encoders import AUTOPILOT_COMPONENT
 from companion.autopilot.readers import Fields, unpack
-from companion.autopilot.wire import Frame
+from companion.autopilot.wire import Frame, FrameScanner
 from companion.config import VehicleConfig
 from companion.events import Firmware, Heartbeat, TwoAutopilots
 
@@ -141,3 +141,13 @@ class HeardVehicle:
 def from_autopilot(fields: Fields) -> bool:
     """Whether a HEARTBEAT of component 1 is an autopilot's. Some ground stations also use component 1."""
     return bool(fields[1] != _GROUND_STATION and fields[2] != AUTOPILOT_INVALID)
+
+
+def shows_autopilot(data: bytes) -> bool:
+    """Whether some bytes hold a whole HEARTBEAT of an autopilot, as component 1."""
+    return any(
+        frame.message_id == _HEARTBEAT_ID
+        and frame.component_id == AUTOPILOT_COMPONENT
+        and from_autopilot(unpack(frame.message_id, frame.payload))
+        for frame in FrameScanner().frames(data)
+    )
