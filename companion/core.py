@@ -185,7 +185,7 @@ class Companion:
                 case MissionRefused():
                     commands += self.plan.downloads.refused(event.reason)
                 case FenceDownloaded():
-                    self.plan.downloads.fence_downloaded(event, now_s)
+                    commands += self.plan.downloads.fence_downloaded(event, now_s)
                 case FenceRefused():
                     commands += self.plan.downloads.refused(f"the vehicle's fence: {event.reason}")
                 case VehicleParameters():
