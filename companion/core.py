@@ -185,7 +185,7 @@ class Companion:
                 case MissionRefused():
                     commands += self.plan.downloads.refused(event.reason)
                 case FenceDownloaded():
-                    self.plan.downloads.fence_downloaded(event, now_s)
+                    commands += self.plan.downloads.fence_downloaded(event, now_s)
                 case FenceRefused():
                     commands += self.plan.downloads.refused(f"the vehicle's fence: {event.reason}")
                 case VehicleParameters():
@@ -281,7 +281,7 @@ class Companion:
             commands += self.sensed.told(now_s, armed=self.own.armed)
         commands += self._publish(now_s)
         own, readiness = self.own, self._readiness
-        readiness.look(now_s, shown)
+        commands += readiness.look(now_s, shown)
         if readiness.down(now_s, shown):
             commands += self.plan.check(own, now_s)
             self.plan.drop()

@@ -241,6 +241,14 @@ class CompanionSystem:
         known = self.core.own.utc_offset_s
         return now_s + (self._utc_guess_s if known is None else known)
 
+    def say_stopping(self, now_s: float) -> None:
+        """Tell the pilot that the program stops, as a warning in flight. He may rely on it even while it
+        commands nothing."""
+        if self.commanding and self.link.vehicle is not None:
+            severity = Severity.WARNING if self.core.own.armed else Severity.INFO
+            text = "DMUCA: the companion stops: from now on it avoids and broadcasts nothing"
+            self.link.send(Say(severity=severity, text=text), now_s)
+
     def let_go(self, now_s: float) -> None:
         """Ask the vehicle to hold, before the program stops.
 

@@ -22,6 +22,10 @@ _MISSION_FRESH_S = 1.0
 _FENCE_FRESH_S = 90.0
 """How long a downloaded fence counts as fresh. The fence is requested first, so it must stay fresh while the
 mission downloads."""
+_NO_AREAS = (
+    'limits.fence "vehicle": the vehicle holds no polygon and no circle, so no fence is kept '
+    "(FENCE_RADIUS and height fences are not read)"
+)
 _ANSWER_S = 75.0
 """A requested download is answered within this time, or never."""
 
@@ -46,10 +50,12 @@ class Downloads:
         self.items, self._items_s = event.items, now_s
         self.hurry()
 
-    def fence_downloaded(self, event: FenceDownloaded, now_s: float) -> None:
-        """Keep a downloaded geofence."""
+    def fence_downloaded(self, event: FenceDownloaded, now_s: float) -> list[Command]:
+        """Keep a downloaded geofence. Returns a warning if it is empty: who asks for the vehicle's fence
+        expects one, and ArduPilot's circle around home is not among the items that a vehicle holds."""
         self._areas, self._areas_s = event.areas, now_s
         self.hurry()
+        return [] if event.areas else self._terms.warn([_NO_AREAS])
 
     def refused(self, reason: str) -> list[Command]:
         """Handle a failed download; it is requested again later. Returns messages for the pilot."""

@@ -22,9 +22,11 @@ from companion.events import (
 from companion.ownship import Ownship
 
 _GUARDED = frozenset({FlightMode.MISSION})
+_HOLD = frozenset({FlightMode.HOLD})
 _LISTEN_S = 3.0
 """How long after its first heartbeat a vehicle is not taken if `vehicle.system_id` is not configured. In
 three heartbeat periods a second autopilot on the link would be heard."""
+_FLYING_ALREADY = "vehicle was flying when the companion started and must land first (flight.take_in_flight)"
 
 
 class Readiness:
@@ -45,6 +47,8 @@ class Readiness:
         self.lost: str | None = None
         """Why the gate blocks all commands until authority is given back; None if it does not."""
         self._seen_down = config.flight.take_in_flight
+        self._flying_told = config.flight.use == "watch"
+        """Whether the pilot knows that the vehicle must land first."""
         self._found_s: float | None = None
         """Time at which the vehicle was first heard."""
 
@@ -63,8 +67,11 @@ class Readiness:
             return []
         return [Say(severity=Severity.WARNING, text=f"DMUCA: cannot take control: {event.lost}")]
 
-    def look(self, now_s: float, shown: Sequence[Heartbeat]) -> None:
+    def look(self, now_s: float, shown: Sequence[Heartbeat]) -> list[Command]:
         """Note whether the vehicle has been heard, and whether it has been on the ground or disarmed.
+
+        Returns a message if it must land first, once: after a restart in flight the pilot would otherwise
+        rely on a companion that does nothing.
 
         Args:
             shown: reported modes, as in `Control.step`.
@@ -72,6 +79,11 @@ class Readiness:
         if self._found_s is None and shown:
             self._found_s = now_s
         self._seen_down = self._seen_down or self.down(now_s, shown)
+        flies = self._own.armed and self._own.landed(now_s) is Landed.IN_AIR
+        if self._seen_down or self._flying_told or not flies:
+            return []
+        self._flying_told = True
+        return [Say(severity=Severity.WARNING, text=f"DMUCA: cannot take control: {_FLYING_ALREADY}")]
 
     def down(self, now_s: float, shown: Sequence[Heartbeat]) -> bool:
         """Whether the vehicle is on the ground or disarmed, if only for a moment.
@@ -84,10 +96,14 @@ class Readiness:
     def mode_is_ours_to_end(self, heartbeat: Heartbeat, ours: frozenset[FlightMode]) -> bool:
         """Whether the vehicle may be taken from the mode in this heartbeat.
 
+        A hold may also be a failsafe's: PX4 holds for a lost radio or ground station, by itself or before it
+        returns. That hold is not ours to end.
+
         Args:
             ours: modes that the vehicle may be in because of our own commands.
         """
-        return heartbeat.mode in ours | (_GUARDED if self._guards else DIALECTS[heartbeat.firmware].take_from)
+        modes = _GUARDED if self._guards else DIALECTS[heartbeat.firmware].take_from
+        return heartbeat.mode in ours | (modes - _HOLD if heartbeat.failsafe else modes)
 
     def waits_for(self, now_s: float, ours: frozenset[FlightMode]) -> str | None:
         """Why the vehicle cannot be taken now, in words; None if it can.
@@ -111,13 +127,15 @@ class Readiness:
         if config.vehicle.system_id == 0 and (self._found_s is None or now_s - self._found_s < _LISTEN_S):
             return "listening for other autopilots on the link (vehicle.system_id is not set)"
         if not self._seen_down:
-            return "vehicle was flying when the companion started and must land first (flight.take_in_flight)"
+            return _FLYING_ALREADY
         if own.landed(now_s) is not Landed.IN_AIR:
             return f"vehicle is not in the air (landed state: {own.landed(now_s).value})"
         if not self.mode_is_ours_to_end(own.heartbeat, ours):
             dialect = DIALECTS[own.heartbeat.firmware]
             modes = dialect.guard_in_name if self._guards else dialect.take_from_names
             mode = mode_name(own.heartbeat)
+            if own.heartbeat.failsafe and own.mode is FlightMode.HOLD and own.mode in dialect.take_from:
+                mode += ", which a failsafe may have selected (HEARTBEAT.system_status)"
             return f"vehicle is in mode {mode}; the companion takes control only from {modes}"
         if config.region.transport_sets and self._broadcaster.trouble is not None:
             return self._broadcaster.trouble

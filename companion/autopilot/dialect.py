@@ -139,9 +139,13 @@ def flight_mode(firmware: Firmware, vehicle_type: int, base_mode: int, custom_mo
 
 
 def in_mode(beat: Heartbeat, custom_mode: int) -> Heartbeat:
-    """Copy of a vehicle's last heartbeat with the mode that a later CURRENT_MODE reported."""
+    """Copy of a vehicle's last heartbeat with the mode that a later CURRENT_MODE reported.
+
+    Only the next heartbeat tells whether a failsafe has caused a change.
+    """
     mode = flight_mode(beat.firmware, beat.vehicle_type, CUSTOM_MODE_ENABLED, custom_mode)
-    return msgspec.structs.replace(beat, custom_mode=custom_mode, mode=mode)
+    failsafe = beat.failsafe or custom_mode != beat.custom_mode
+    return msgspec.structs.replace(beat, custom_mode=custom_mode, mode=mode, failsafe=failsafe)
 
 
 def impossible_rearm(firmware: Firmware, flight: FlightConfig) -> str | None:

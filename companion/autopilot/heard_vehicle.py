@@ -3,12 +3,13 @@
 Our vehicle is component 1 of one system: the configured system, or the first one that sends an autopilot's
 HEARTBEAT. That first one may be a neighbour's vehicle that a router or a radio forwards. If no system is
 configured, a second autopilot therefore makes it `unclear` which vehicle is ours, for the lifetime of this
-link.
+link. So does a second autopilot with our vehicle's own id, configured or not.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -17,7 +18,7 @@ from companion.autopilot.counts import LinkCounts
 from companion.autopilot.dialect import AUTOPILOT_INVALID, refusal
 from companion.autopilot.encoders import AUTOPILOT_COMPONENT
 from companion.autopilot.readers import Fields, unpack
-from companion.autopilot.wire import Frame
+from companion.autopilot.wire import Frame, FrameScanner
 from companion.config import VehicleConfig
 from companion.events import Firmware, Heartbeat, TwoAutopilots
 
@@ -26,6 +27,9 @@ LOST_AFTER_S = 3.0
 REBOOT_STEP_S = 1.0
 """The vehicle has rebooted when its clock goes back by more than this. A smaller step means messages out of
 order."""
+_OTHER_CLOCK_S, _OTHER_WITHIN_S, _OTHERS = 10.0, 10.0, 3
+"""A clock that goes back by more than `_OTHER_CLOCK_S` so often within `_OTHER_WITHIN_S` belongs to two
+autopilots. No vehicle restarts so often, and no link delivers messages that are so old."""
 _GROUND_STATION = mavlink.MAV_TYPE_GCS
 _HEARTBEAT_ID = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
@@ -59,6 +63,8 @@ class HeardVehicle:
         self._heartbeat_s = -math.inf
         self._boot_s: float | None = None
         self._boot_heard_s = 0.0
+        self._back_s: deque[float] = deque(maxlen=_OTHERS)
+        """When the vehicle's clock last went far back."""
 
     # ------------------------------------------------------------ sender and target of frames
 
@@ -112,8 +118,11 @@ class HeardVehicle:
 
     def on_boot_time(self, time_boot_s: float, now_s: float) -> bool:
         """Take the vehicle's time since boot from a message. Returns whether the vehicle has rebooted."""
-        rebooted = self._boot_s is not None and time_boot_s < self._boot_s - REBOOT_STEP_S
+        back_s = 0.0 if self._boot_s is None else self._boot_s - time_boot_s
+        rebooted = back_s > REBOOT_STEP_S
         self._counts.reboots += rebooted
+        if back_s > _OTHER_CLOCK_S:
+            self._back_s.append(now_s)
         self._boot_s, self._boot_heard_s = time_boot_s, now_s
         return rebooted
 
@@ -122,6 +131,17 @@ class HeardVehicle:
         if self._boot_s is None:
             return 0
         return round((self._boot_s + max(0.0, now_s - self._boot_heard_s)) * 1e3)
+
+    def second_clock(self, now_s: float) -> TwoAutopilots | None:
+        """Event if two autopilots with our vehicle's system id are on the link; reported once. Both firmwares
+        have the id 1 unless it was changed, and whatever is sent to one of them reaches both."""
+        back_s, vehicle = self._back_s, self.vehicle
+        if self.unclear is not None or vehicle is None or len(back_s) < _OTHERS:
+            return None
+        if now_s - back_s[0] > _OTHER_WITHIN_S:
+            return None
+        self.unclear = f"two autopilots with system id {vehicle.system_id} on this link: give each its own"
+        return TwoAutopilots(reason=self.unclear)
 
     def second_autopilot(self, frame: Frame) -> TwoAutopilots | None:
         """Event if a HEARTBEAT of another system or component makes it unclear which vehicle is ours;
@@ -141,3 +161,13 @@ class HeardVehicle:
 def from_autopilot(fields: Fields) -> bool:
     """Whether a HEARTBEAT of component 1 is an autopilot's. Some ground stations also use component 1."""
     return bool(fields[1] != _GROUND_STATION and fields[2] != AUTOPILOT_INVALID)
+
+
+def shows_autopilot(data: bytes) -> bool:
+    """Whether some bytes hold a whole HEARTBEAT of an autopilot, as component 1."""
+    return any(
+        frame.message_id == _HEARTBEAT_ID
+        and frame.component_id == AUTOPILOT_COMPONENT
+        and from_autopilot(unpack(frame.message_id, frame.payload))
+        for frame in FrameScanner().frames(data)
+    )

@@ -284,6 +284,9 @@ class AutopilotLink:
         again."""
         if self._heard.on_boot_time(time_boot_s, now_s):
             self._polling.on_reboot(now_s)
+            two = self._heard.second_clock(now_s)
+            if two is not None:
+                self._events.append(two)
 
     def _on_heartbeat(self, frame: Frame, fields: Fields, now_s: float) -> None:
         if not from_autopilot(fields):

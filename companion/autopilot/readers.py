@@ -59,6 +59,7 @@ _RC_RANGE_US = (800, 2200)
 """Valid pulse widths. A channel outside this range is not present (0 or 65535)."""
 _MAX_FIX_TYPE = mavlink.GPS_FIX_TYPE_PPP
 _UINT32_MAX = 0xFFFF_FFFF
+_FAILSAFES = (mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY)
 _LANDED = dict(enumerate(Landed))
 _BAROMETRIC, _GEOMETRIC = mavlink.ADSB_ALTITUDE_TYPE_PRESSURE_QNH, mavlink.ADSB_ALTITUDE_TYPE_GEOMETRIC
 _UNPACKERS: dict[int, struct.Struct] = {i: m.unpacker for i, m in mavlink.mavlink_map.items()}
@@ -97,7 +98,7 @@ def heartbeat(system_id: int, fields: Fields) -> Heartbeat:
     Raises:
         PeerDataError: the autopilot is of no known firmware.
     """
-    custom_mode, vehicle_type, autopilot, base_mode, _status, _version = fields
+    custom_mode, vehicle_type, autopilot, base_mode, status, _version = fields
     firmware = FIRMWARES.get(autopilot)
     if firmware is None:
         known = [f"{dialect.title} ({dialect.autopilot})" for dialect in DIALECTS.values()]
@@ -110,6 +111,7 @@ def heartbeat(system_id: int, fields: Fields) -> Heartbeat:
         custom_mode=custom_mode,
         mode=flight_mode(firmware, vehicle_type, base_mode, custom_mode),
         armed=bool(base_mode & ARMED),
+        failsafe=status in _FAILSAFES,
     )
 
 

@@ -57,6 +57,8 @@ class Heartbeat(Event, frozen=True):
     armed: bool
     overtaken: bool = False
     """A newer message of the vehicle arrived before this one, so its mode may have changed since."""
+    failsafe: bool = False
+    """A failsafe acts, or it is not known yet whether one does (MAV_STATE critical or emergency)."""
 
 
 class CurrentMode(Event, frozen=True):

@@ -46,6 +46,9 @@ so far that its messages seem late by more than `_LONGEST_MIXED_S`."""
 
 _GROUND_MPS = 2.0
 
+_FRAME_REACH_M = 5_000.0
+"""The local frame gets a new origin when the vehicle is farther than this from it. The tangent plane of a
+companion that was started elsewhere, or before its vehicle knew its place, shifts the fence by metres."""
 _MOVED_M = 10.0
 """The distances to the fence are measured again after the vehicle has moved this far."""
 _NOWHERE = math.inf, math.inf
@@ -130,10 +133,12 @@ class Bounds:
         if event.time_boot_s < self._boot_s:
             return  # A newer position has overtaken this one.
         self._boot_s = event.time_boot_s
-        if self._frame is None:
-            self._frame = LocalFrame(event.lat_deg, event.lon_deg, event.alt_msl_m)
         self._position, self._velocity = event, event.velocity_ned_mps
-        self._here = self._frame.to_ned(event.lat_deg, event.lon_deg, event.alt_msl_m)[:2]
+        if self._frame is not None:
+            self._here = self._frame.to_ned(event.lat_deg, event.lon_deg, event.alt_msl_m)[:2]
+        if self._frame is None or math.hypot(*self._here) > _FRAME_REACH_M:
+            self._frame = LocalFrame(event.lat_deg, event.lon_deg, event.alt_msl_m)
+            self._here, self._walls_at = (0.0, 0.0), _NOWHERE
 
     def hear_parameters(self, event: VehicleParameters) -> None:
         """Take in the vehicle's own limits; the lower of these and the configured ones applies."""

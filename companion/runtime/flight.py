@@ -200,11 +200,12 @@ class Flight:
                 return
             self._say(f"vehicle {self.onboard.link.vehicle}")
             self._run.open(self.config, self._policy, str(self.onboard.link.vehicle))
-            self._loop()
-            # Stop the watchdog, because `_let_go` reports nothing to it. It waits for the vehicle, up to
-            # a limit of its own.
-            self._watchdog.stop()
-            self._notifier.stopping()
+            try:
+                self._loop()
+            except Exception:  # A bug of ours: the vehicle must not fly its last setpoint on.
+                with contextlib.suppress(Exception):
+                    self._let_go()
+                raise
             self._let_go()
         finally:
             self._watchdog.stop()
@@ -385,8 +386,13 @@ class Flight:
                 self._say(f"a Remote ID broadcast was not sent: {error}")
 
     def _let_go(self) -> None:
-        """Ask the vehicle to hold, so that it does not run into its setpoint-loss failsafe."""
+        """Tell the pilot. Ask a vehicle that we control to hold, before its setpoint-loss failsafe acts."""
+        self._watchdog.stop()  # Nothing is reported to it from here on, and the wait has a limit of its own.
+        self._notifier.stopping()
+        self.onboard.say_stopping(clock.now_s())
+        self._send()
         if not (self.onboard.core.in_control and self.onboard.commanding):
+            self._wait(clock.now_s() + _LOOK_S)  # Closing TCP may discard what the far end has not read.
             return
         self._say("stopping: asking the vehicle to hold")
         end = clock.now_s() + _LET_GO_S

@@ -78,6 +78,7 @@ class Bench:
     """0: one number for each mode."""
     firmware: Firmware = Firmware.PX4
     armed: bool = True
+    failsafe: bool = False
     landed: Landed = Landed.IN_AIR
     north_m: float = 0.0
     east_m: float = 0.0
@@ -112,6 +113,7 @@ class Bench:
                 custom_mode=self.custom_mode or list(FlightMode).index(self.mode),
                 mode=self.mode,
                 armed=self.armed,
+                failsafe=self.failsafe,
             ),
             LandedState(landed=self.landed),
             GnssFix(

@@ -14,6 +14,7 @@ from __future__ import annotations
 import socket
 from typing import Any
 
+from companion.autopilot.heard_vehicle import shows_autopilot
 from companion.runtime import clock
 from companion.runtime.links.byte_link import HELD_S, READ_BYTES, LinkTrouble, Received
 from companion.runtime.links.unsent import unsent_bytes
@@ -27,7 +28,9 @@ _SEND_BUFFER = 4096
 """Send buffer in bytes, which the kernel doubles. It holds about ten datagrams while the neighbour is unknown
 or the interface accepts none."""
 _PEER_SILENT_S = 3.0
-"""A peer silent for this long may be replaced by another, because a restarted vehicle has a new port."""
+"""A peer silent for this long may be replaced by another, because a restarted vehicle has a new port. An
+autopilot is replaced only by an autopilot: a ground station or a tracker that happens to send here while the
+vehicle pauses would otherwise keep the vehicle out for as long as it sends."""
 _MAGICS = (0xFD, 0xFE)
 """First byte of a MAVLink 2 frame and of a MAVLink 1 frame."""
 
@@ -52,6 +55,8 @@ class UdpLink:
         self._listen = listen
         self._peer: Any = None
         self._heard_s = float("-inf")
+        self._is_autopilot = False
+        """The peer has sent an autopilot's heartbeat."""
         self._waits_since_s: float | None = None
         if listen:
             try:
@@ -95,12 +100,15 @@ class UdpLink:
 
     def _is_peer(self, sender: Any, data: bytes, now_s: float) -> bool:
         if sender == self._peer:
+            self._is_autopilot = self._is_autopilot or shows_autopilot(data)
             return True
         silent = now_s - self._heard_s > _PEER_SILENT_S
-        if not (self._listen and silent and data and data[0] in _MAGICS):
+        mavlink = self._listen and silent and data and data[0] in _MAGICS
+        shows = mavlink and shows_autopilot(data)
+        if not mavlink or (self._is_autopilot and not shows):
             self._trouble.left_out += 1
             return False
-        self._peer = sender
+        self._peer, self._is_autopilot = sender, bool(shows)
         return True
 
     def send(self, data: bytes) -> None:

@@ -87,6 +87,14 @@ def test_a_mission_that_is_forgotten_or_outdated_is_not_fresh_and_is_tried_at_on
     assert bool(made.items) is (end is Downloads.outdate_mission)
 
 
+def test_a_vehicle_without_a_fence_is_told_of_once_where_one_is_expected():
+    made = downloads(fence="vehicle")
+    (said,) = made.fence_downloaded(FenceDownloaded(areas=()), 10.0)
+    assert "no fence is kept" in said.text
+    assert made.fence_downloaded(FenceDownloaded(areas=()), 110.0) == []
+    assert made.fence_downloaded(FenceDownloaded(areas=(AREA,)), 210.0) == []
+
+
 def test_the_vehicles_fence_is_asked_for_until_it_is_90_seconds_old():
     made = downloads(fence="vehicle")
     assert made.ask_fence(0.0) == [DownloadFence()]

@@ -127,3 +127,24 @@ def test_other_vehicles_and_components_are_ignored(ardupilot: Scripted) -> None:
 def test_nothing_is_believed_before_the_first_heartbeat() -> None:
     scripted = Scripted()
     assert scripted.says(scripted.position(1000)) == []
+
+
+@pytest.mark.parametrize("configured", [0, 1])
+@pytest.mark.parametrize(
+    ("apart_s", "period_s", "unclear"), [(60.0, 1.0, True), (5.0, 1.0, False), (60.0, 6.0, False)]
+)
+def test_two_clocks_under_one_system_id_make_it_unclear(configured, apart_s, period_s, unclear) -> None:
+    """Both firmwares have the id 1 unless it was changed. One clock that jumps now and then is a vehicle that
+    restarts, and a small step is a late message."""
+    scripted = Scripted(config=VehicleConfig(system_id=configured))
+    scripted.heartbeat(GUIDED)
+    found = []
+    for step in range(8):
+        scripted.now_s += period_s
+        boot_s = 500.0 + scripted.now_s + apart_s * (step % 2)
+        found += scripted.says(mavlink.MAVLink_system_time_message(0, round(1e3 * boot_s)))
+    told = [event for event in found if isinstance(event, TwoAutopilots)]
+    assert [event.reason for event in told] == [
+        "two autopilots with system id 1 on this link: give each its own"
+    ] * unclear
+    assert (scripted.link.unclear is not None) is unclear

@@ -238,3 +238,13 @@ def test_px4s_current_mode_is_that_of_its_heartbeats(tmp_path: Path) -> None:
     assert len(found) > 50
     for k in found:
         assert told[k].custom_mode in {told[k - 1].custom_mode, told[min(k + 1, len(told) - 1)].custom_mode}
+
+
+def test_px4_tells_that_a_failsafe_acts(tmp_path: Path) -> None:
+    """In the recording setpoints stop again and again, and PX4 returns until they resume."""
+    _, events, _ = through_link(unpacked("px4_sih_offboard", tmp_path))
+    beats = [e for e in events if isinstance(e, Heartbeat)]
+    acting = {(e.custom_mode, e.failsafe) for e in beats if e.armed}
+    assert (5 << 24 | 4 << 16, True) in acting
+    assert {custom for custom, failsafe in acting if failsafe} == {5 << 24 | 4 << 16}
+    assert any(not e.failsafe and e.mode is FlightMode.EXTERNAL for e in beats)

@@ -8,16 +8,20 @@ import msgspec
 import pytest
 
 from companion.authority.table import HOLDING, State
+from companion.autopilot.dialect import DIALECTS
 from companion.core import Companion
 from companion.events import (
     AuthorityChanged,
     Broadcast,
+    CurrentMode,
     Firmware,
     FlightMode,
+    Heartbeat,
     Landed,
     ModeRefused,
     Say,
     SetMode,
+    Severity,
     VelocitySetpoint,
 )
 from companion.remote_id import codec
@@ -156,11 +160,43 @@ def test_a_late_loop_commands_nothing_in_that_step(flying):
 
 def test_a_start_in_flight_takes_nothing_until_the_vehicle_has_been_down(make_bench):
     bench = make_bench(take_in_flight=False)
-    bench.step(100)
+    said = [c.text for c in bench.step(100) if isinstance(c, Say) and c.severity is Severity.WARNING]
+    assert said == [
+        "DMUCA: cannot take control: vehicle was flying when the companion started and must land "
+        "first (flight.take_in_flight)"
+    ]
     assert bench.core.state is State.STANDBY
     bench.landed, bench.armed = Landed.ON_GROUND, False
     bench.step(10)
     bench.landed, bench.armed = Landed.IN_AIR, True
+    bench.until(lambda: bench.core.state is State.GUARDING)
+
+
+@pytest.mark.parametrize("mode", [FlightMode.HOLD, FlightMode.MISSION, FlightMode.EXTERNAL])
+def test_a_hold_that_a_failsafe_caused_is_not_ended(make_bench, mode):
+    """PX4 holds for a lost radio or ground station, and before it returns."""
+    bench = make_bench()
+    bench.mode, bench.failsafe = mode, True
+    bench.step(100)
+    assert (bench.core.state in HOLDING) is (mode is not FlightMode.HOLD)
+    if mode is FlightMode.HOLD:
+        assert "a failsafe may have selected" in bench.core.waits_for(bench.now_s)
+        bench.failsafe = False  # The pilot has selected the hold himself since.
+        bench.until(lambda: bench.core.state is State.GUARDING)
+
+
+def test_a_hold_between_two_heartbeats_is_taken_only_once_the_next_one_shows_no_failsafe(make_bench):
+    """CURRENT_MODE comes at once, and does not say why the mode has changed."""
+    bench = make_bench()
+    bench.mode = FlightMode.OTHER
+    bench.step(40)
+    heartbeat, events = DIALECTS[Firmware.PX4].commands[FlightMode.HOLD], bench.events
+    bench.events = lambda: [e for e in events() if not isinstance(e, Heartbeat)]
+    bench.extra = [CurrentMode(custom_mode=heartbeat.custom_mode)]
+    bench.step(20)
+    assert bench.core.own.mode is FlightMode.HOLD
+    assert bench.core.state is State.STANDBY
+    bench.events, bench.mode = events, FlightMode.HOLD
     bench.until(lambda: bench.core.state is State.GUARDING)
 
 

@@ -337,3 +337,28 @@ def flown_across(rng):
         same = same and verdict(kept, velocity, now_s) == said
         refused += said is not None and "(fence)" in said
     return refused, same
+
+
+@pytest.mark.parametrize("first", [(48.3, 8.5, 0.0), (0.0001, 0.0001, 0.0)])
+def test_a_first_position_far_away_does_not_move_the_fence(first):
+    """The companion was started elsewhere, or before its vehicle knew its place. On a tangent plane there,
+    the fence would be tens of metres off, or would be refused at any distance."""
+    assert least_room_m(None) == pytest.approx(8.5, abs=1.0)
+    assert least_room_m(first) == pytest.approx(least_room_m(None), abs=0.5)
+
+
+def least_room_m(first):
+    """How near to the northern wall of `BOX` a northward setpoint still leaves, 2 km above home."""
+    bounds = Bounds(config(limits=FAST, fence=(BOX,)))
+    places = [] if first is None else [first]
+    places += [HOME.to_geodetic(0.25 * step, 0.0, -2000.0) for step in range(800)]
+    for step, (lat, lon, alt) in enumerate(places):
+        now_s = 0.05 * step
+        event = GlobalPosition(
+            time_boot_s=now_s, lat_deg=lat, lon_deg=lon, alt_msl_m=alt, height_above_home_m=50.0,
+            velocity_ned_mps=(5.0, 0.0, 0.0),
+        )  # fmt: skip
+        bounds.hear_position(event, now_s)
+        if places[step] != first and verdict(bounds, (5.0, 0.0, 0.0), now_s) is not None:
+            break
+    return 100.0 - 0.25 * (step - len(places) + 800)

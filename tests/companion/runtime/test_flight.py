@@ -13,6 +13,7 @@ import time
 import msgspec
 import pytest
 
+from companion.autopilot.wire import MavlinkReader
 from companion.errors import ConfigError
 from companion.events import RadioState, RemoteIdHeard
 from companion.remote_id.messages import Location
@@ -151,6 +152,53 @@ def test_lets_go_of_what_it_controls_and_of_nothing_else(
     assert [calls[-1] for calls in asked] == (["stop"] if in_control else [])
     assert watchdog[0] == "start"
     assert "report" in watchdog
+
+
+def texts_sent(flight, monkeypatch):
+    """Severity and text of each STATUSTEXT that the flight has sent; a list that grows."""
+    texts, reader, send = [], MavlinkReader(), flight.link.send
+
+    def kept(data):
+        texts.extend((m.severity, m.text) for m in reader.feed(data) if m.get_type() == "STATUSTEXT")
+        send(data)
+
+    monkeypatch.setattr(flight.link, "send", kept)
+    return texts
+
+
+@pytest.mark.parametrize("armed", [True, False])
+def test_the_pilot_reads_that_the_companion_stops(flight, autopilot, said, until, monkeypatch, armed):
+    autopilot.armed = armed
+    texts, own = texts_sent(flight, monkeypatch), flight.onboard.core.own
+    fly(
+        flight,
+        lambda: until(heard_of(said, "recording to")),
+        lambda: until(lambda: own.heartbeat is not None),
+    )
+    assert [t for t in texts if "companion stops" in t[1]] == [
+        (4 if armed else 6, "DMUCA: the companion stops: from now on it avoids ")
+    ]
+
+
+def test_a_bug_in_flight_lets_go_of_the_vehicle_before_the_process_ends(
+    flight, said, until, watchdog, monkeypatch
+):
+    monkeypatch.setattr("companion.runtime.flight._LET_GO_S", 0.3)
+    flight.onboard.core = Control(flight.onboard.core, in_control=True)
+    texts = texts_sent(flight, monkeypatch)
+
+    def broken(_now_s, _events):
+        raise ZeroDivisionError("a bug")
+
+    def break_down():
+        until(heard_of(said, "recording to"))
+        flight.onboard.core.step = broken
+        until(lambda: "stop" in watchdog)
+
+    with pytest.raises(ZeroDivisionError, match="a bug"):
+        fly(flight, break_down)
+    assert heard_of(said, "asking the vehicle to hold")()
+    assert any("companion stops" in text for _, text in texts)
 
 
 class FullDisk:

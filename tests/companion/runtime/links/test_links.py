@@ -9,12 +9,18 @@ import sys
 
 import pytest
 
+from companion.autopilot.wire import MavlinkWriter
 from companion.errors import ConfigError
 from companion.runtime.links.byte_link import READ_BYTES, LinkTrouble, Received
 from companion.runtime.links.open_link import open_link
 from companion.runtime.links.udp_link import UdpLink
 
 MAVLINK = b"\xfd and the rest"
+
+
+def heartbeat(system=1, component=1, mav_type=2, autopilot=3):
+    writer = MavlinkWriter(system, component)
+    return writer.pack(writer.encoder.heartbeat_encode(mav_type, autopilot, 1, 4, 4))
 
 
 @pytest.fixture
@@ -75,6 +81,22 @@ def test_udpin_keeps_a_peer_that_speaks(listening, sender):
         vehicle.send(MAVLINK)
         stray.send(b"\xfd stray")
         assert listening.receive(float(second)).data == MAVLINK
+
+
+def test_udpin_lets_only_an_autopilot_take_the_place_of_one(listening, sender):
+    """A ground station's heartbeat in a pause of the vehicle would keep the vehicle out from then on."""
+    vehicle, station, anew = sender(), sender(), sender()
+    vehicle.send(heartbeat())
+    assert listening.receive(0.0).data == heartbeat()
+    for data in (heartbeat(255, 190, mav_type=6, autopilot=8), heartbeat(1, 1, mav_type=6), MAVLINK):
+        station.send(data)
+        assert listening.receive(4.0).data == b""
+    vehicle.send(MAVLINK)
+    assert listening.receive(5.0).data == MAVLINK
+    anew.send(heartbeat())
+    assert listening.receive(6.0).data == b"", "the present peer is not silent yet"
+    anew.send(heartbeat())
+    assert listening.receive(9.0).data == heartbeat()
 
 
 def test_udpout_hears_its_peer_only(sender, listening, trouble):
