@@ -12,6 +12,7 @@ answered, and on other interfaces only those with the token.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import ipaddress
 import os
 import secrets
@@ -35,7 +36,7 @@ PERIOD_S: Final = 0.5
 MOST_AT_ONCE: Final = 16
 """Most requests at a time; further ones are closed at once."""
 _PATIENCE_S: Final = 5.0
-"""How long a browser may take for a request."""
+"""How long a browser may take for a request, from its connection to the last byte of the answer."""
 _LEAST_TOKEN: Final = 12
 _PAGE: Final = Path(__file__).with_name("display.html")
 _HEADERS: Final = {
@@ -152,13 +153,25 @@ class Display(ThreadingHTTPServer):
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Answer one request."""
+        # The timeout of the socket counts from each byte anew, so that a client which sends one byte now and
+        # then would hold its thread for ever.
+        limit = threading.Timer(_PATIENCE_S, _end, [request])
+        limit.daemon = True
+        limit.start()
         try:
             super().process_request_thread(request, client_address)
         finally:
+            limit.cancel()
             self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore a browser that closed its connection."""
+
+
+def _end(request: socket.socket) -> None:
+    """End a connection, so that a thread that waits for it goes on."""
+    with contextlib.suppress(OSError):
+        request.shutdown(socket.SHUT_RDWR)
 
 
 class _Handler(BaseHTTPRequestHandler):
