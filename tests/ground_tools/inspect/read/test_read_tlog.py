@@ -250,6 +250,39 @@ def test_time_does_not_decrease_when_a_clock_is_set_back(tmp_path: Path) -> None
     assert "its clock was set back 1 times" in run.problems[0]
 
 
+@pytest.mark.parametrize(
+    ("index", "bit"),
+    # A few seconds after the first record, or before the last, may be a silence.
+    [(n, bit) for n in (0, 1, 25, 58, 59) for bit in (22, 36, 50) if bit > 22 or 0 < n < 59],
+)
+def test_one_wrong_bit_in_a_time_stamp_moves_nothing(tmp_path: Path, index: int, bit: int) -> None:
+    """A time stamp has no checksum. The bits stand for 4 s, 19 hours and 36 years."""
+    one = MavlinkWriter(1, 1)
+    records = [(t, one.pack(m)) for t in range(30) for m in (beat(2, 3), place(t, 47.0))]
+    path = log(tmp_path / "flipped.tlog", records)
+    whole = read_run(path).aircraft[0].facts
+    data = bytearray(path.read_bytes())
+    at = sum(8 + len(raw) for _, raw in records[:index])
+    data[at + 7 - bit // 8] ^= 1 << bit % 8
+    path.write_bytes(data)
+    run = read_run(path)
+    facts = run.aircraft[0].facts
+    assert (facts.start_s, facts.end_s) == pytest.approx((whole.start_s, whole.end_s), abs=1.01)
+    assert facts.fixes[:, 0].tolist() == pytest.approx(whole.fixes[:, 0].tolist(), abs=1.01)
+    assert run.problems == (
+        "flipped.tlog: 1 records have a damaged time stamp; that of a neighbour is used instead",
+    )
+
+
+def test_a_clock_that_is_set_forward_moves_the_rest(tmp_path: Path) -> None:
+    one = MavlinkWriter(1, 1)
+    stamps = [0.0, 1.0, 2.0, 7202.0, 7203.0]
+    records = [(t, one.pack(m)) for n, t in enumerate(stamps) for m in (beat(2, 3), place(n, 47.0))]
+    run = read_run(log(tmp_path / "ntp.tlog", records))
+    assert (run.aircraft[0].facts.fixes[:, 0] - UTC_S).tolist() == pytest.approx(stamps)
+    assert run.problems == ()
+
+
 def test_numbers_that_are_missing_and_silences_are_counted(tmp_path: Path) -> None:
     one = MavlinkWriter(1, 1)
     frames = [one.pack(beat(2, 3)) for _ in range(300)]
