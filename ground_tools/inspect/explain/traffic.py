@@ -3,12 +3,13 @@ reports."""
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from typing import Any
 
 import numpy as np
 
 from companion.arrays import Floats
+from ground_tools.inspect.read.flown import Path, at, between
 from ground_tools.inspect.read.read_run import AircraftRecord
 
 ADSB = "ADS-B"
@@ -25,11 +26,43 @@ def heard(record: AircraftRecord, of_the_run: Container[str], offset_s: float) -
     rows = [*_by_remote_id(record), *_by_adsb(record)]
     for row in rows:
         row["of_the_run"] = row["identity"] in of_the_run
+        row["beyond_record"] = False
         row["first_s"] += offset_s
         row["last_s"] += offset_s
         if row["nearest"] is not None:
             row["nearest"]["time_s"] += offset_s
     return sorted(rows, key=_distance)
+
+
+def mark_beyond(row: dict[str, Any], receiver: Path | None, others: Sequence[Path]) -> None:
+    """Mark an aircraft of the run that was nearest when the positions of the two are not both known, as after
+    its record was cut off. The separation of the pair then does not contain that approach.
+
+    Args:
+        row: one of `heard`, with times on the common time line.
+        receiver: path of the aircraft that received it; None without positions.
+        others: paths of the aircraft of that identity.
+    """
+    if not row["of_the_run"] or row["nearest"] is None:
+        return
+    time_s = row["nearest"]["time_s"]
+    paths = [*others] if receiver is None else [receiver, *others]
+    if any(_on_ground(path, time_s) for path in paths):
+        return
+    row["beyond_record"] = receiver is None or not (
+        _known(receiver, time_s) and any(_known(path, time_s) for path in others)
+    )
+
+
+def _on_ground(path: Path, time_s: float) -> bool:
+    return bool(((path.on_ground_s[:, 0] <= time_s) & (time_s <= path.on_ground_s[:, 1])).any())
+
+
+def _known(path: Path, time_s: float) -> bool:
+    """Whether the position is known at that time."""
+    inside = path.time_s[0] <= time_s <= path.time_s[-1]
+    near = between(path, time_s, time_s)
+    return bool(inside and not np.isnan(at(near, np.array([time_s]))).any())
 
 
 def _distance(row: dict[str, Any]) -> tuple[float, str]:

@@ -23,7 +23,7 @@ from ground_tools.inspect.explain.manoeuvres import Manoeuvre
 from ground_tools.inspect.read import flight_figures
 from ground_tools.inspect.read.conditions import wind_figures
 from ground_tools.inspect.read.faults import faults
-from ground_tools.inspect.read.flown import Separation, closest, flown
+from ground_tools.inspect.read.flown import Flown, Path, Separation, closest, flown
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
 from ground_tools.inspect.read.timeline import time_line
 from ground_tools.inspect.report.terminal import text as text
@@ -56,15 +56,17 @@ def describe(run: Run) -> dict[str, Any]:
     done = {record.name: manoeuvres.find(record) for record in run.aircraft}
     offsets = line.offsets_s
     of_the_run = {_identity(record) for record in run.aircraft}
+    aircraft = [
+        _aircraft(record, done[record.name], offsets[record.name], of_the_run) for record in run.aircraft
+    ]
+    _mark_beyond(run, aircraft, ways)
     return {
         "run": run.name,
         "clock": line.words,
         "utc_at_zero_s": line.utc_at_zero_s,
         "positions": ways.positions if ways else None,
         "conflicts": _conflicts(run, pairs, done, offsets),
-        "aircraft": [
-            _aircraft(record, done[record.name], offsets[record.name], of_the_run) for record in run.aircraft
-        ],
+        "aircraft": aircraft,
         "separations": [
             {
                 "pair": [pair.first, pair.second],
@@ -79,6 +81,18 @@ def describe(run: Run) -> dict[str, Any]:
         "notes": list(run.notes),
         "problems": [*run.problems, *_cut_off(run, offsets), *unknown, *air_problems],
     }
+
+
+def _mark_beyond(run: Run, aircraft: list[dict[str, Any]], ways: Flown | None) -> None:
+    """Mark the aircraft of the run that were heard nearest while their separation is not known."""
+    paths = {path.name: path for path in ways.paths} if ways else {}
+    of: dict[str, list[Path]] = {}
+    for record in run.aircraft:
+        if record.name in paths:
+            of.setdefault(_identity(record), []).append(paths[record.name])
+    for one in aircraft:
+        for row in one["traffic"]:
+            traffic.mark_beyond(row, paths.get(one["name"]), of.get(row["identity"], []))
 
 
 def _cut_off(run: Run, offsets: dict[str, float]) -> list[str]:
