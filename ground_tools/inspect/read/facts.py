@@ -156,6 +156,8 @@ class Facts:
     gnss: GnssQuality
     adsb: dict[str, HeardAdsb]
     """Aircraft heard by ADS-B, by their ICAO addresses."""
+    adsb_left_out: int
+    """Number of ADS-B reports of further aircraft, which were farther away."""
     tracks: dict[str, TrackFacts]
     """Tracks in the law's decisions, by track id."""
     rare: tuple[tuple[float, AnyEvent | AnyCommand], ...]
@@ -345,6 +347,7 @@ class Gatherer:
             },
             gnss=self.gnss,
             adsb=self.adsb.heard(),
+            adsb_left_out=self.adsb.left_out,
             tracks={name: _track_facts(found) for name, found in self.tracks.items()},
             rare=tuple(self.rare),
         )

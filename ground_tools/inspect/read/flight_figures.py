@@ -122,6 +122,11 @@ def missing(record: AircraftRecord) -> list[str]:
         found.append("heartbeats are missing, so arming and modes are not known")
     if facts.utc_offset_s is None:
         found.append("UTC is missing, so latencies are not known")
+    if facts.adsb_left_out:
+        found.append(
+            f"{facts.adsb_left_out} ADS-B reports are left out: there were more than {len(facts.adsb)} "
+            "aircraft, and only the nearest are shown"
+        )
     if record.header is not None and not facts.sent:
         found.append("no Remote ID was sent")
     if record.header is not None and not facts.heard:

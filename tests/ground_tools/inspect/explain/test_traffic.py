@@ -17,6 +17,7 @@ from companion.config import Config, FlightConfig, IdentityConfig
 from companion.event_record import Step
 from companion.events import AdsbVehicle, AuthorityChanged, GnssFix, Landed, LandedState, RemoteIdHeard
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
+from ground_tools.inspect.read import nearness
 from ground_tools.inspect.read.nearness import ADSB_STAMP_S
 from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.report import headline, terminal
@@ -119,6 +120,20 @@ def test_an_unknown_height_is_reported(tmp_path):
     assert rows[0]["nearest"]["above_m"] is None
     assert "80 m beside ONE, at an unknown height, at" in headline.verdicts(figures)[0]
     assert headline.verdicts(figures)[0].endswith("2 other aircraft in all")
+
+
+def test_of_too_many_aircraft_the_nearest_are_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(nearness, "_MOST", 5)
+    far = [adsb(0.0, 2000.0 + k, 300.0, icao=k) for k in range(9)]
+    near = [adsb(0.0, 20.0, 5.0, icao=0xABCDEF), adsb(0.0, 90.0, 5.0, icao=0xABCDE0)]
+    figures = heard(tmp_path, *far, *near, adsb(0.0, 3000.0, 300.0, icao=0xFFFFFF))
+    (one,) = figures["aircraft"]
+    names = [row["identity"] for row in one["traffic"]]
+    assert names[:2] == ["ABCDEF", "ABCDE0"]
+    assert len(names) == 5
+    assert headline.verdicts(figures)[0].startswith("Nearest other aircraft: ABCDEF")
+    (words,) = [words for words in one["missing"] if "ADS-B" in words]
+    assert words.startswith("7 ADS-B reports are left out")
 
 
 def test_without_own_positions_distances_are_unknown(tmp_path):
