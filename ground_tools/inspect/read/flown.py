@@ -39,6 +39,8 @@ _SPARSE = 3.0
 """If samples are rare, only a silence of this many times their usual interval is a gap."""
 MAX_ERROR_M = 200.0
 """True positions farther than this from the aircraft's own positions belong to another frame or flight."""
+_FLIES_MPS, _FLIES_M = 3.0, 10.0
+"""An aircraft that was faster than this, or whose altitude changed by more than this, has flown."""
 SAME_M = 2.0
 """Two recordings of one aircraft are closer to each other than this if their clocks agree to about 0.1 s."""
 TRUE = "true positions"
@@ -210,15 +212,35 @@ def _radius_m(record: AircraftRecord) -> float:
     return (record.header.config.avoidance if record.header else AvoidanceConfig()).conflict_radius_m
 
 
+def began_in_flight(record: AircraftRecord) -> bool:
+    """Return whether an onboard log shows a flight but no arming, so that it is not known when the aircraft
+    was armed.
+
+    ArduPilot logs only changes of the arming. A log that begins in flight, as after a restart in the air, or
+    whose beginning is damaged, therefore looks disarmed to its end.
+    """
+    beats = [what for _, what in record.facts.rare if isinstance(what, Heartbeat)]
+    if record.log != "onboard" or not beats or any(beat.armed for beat in beats):
+        return False
+    fixes, speed, low, high = record.facts.fixes, 0.0, np.inf, -np.inf
+    for at_row in range(0, len(fixes), BLOCK):
+        rows = fixes[at_row : at_row + BLOCK]
+        speed = max(speed, float(np.hypot(rows[:, 4], rows[:, 5]).max()))
+        low, high = min(low, float(rows[:, 3].min())), max(high, float(rows[:, 3].max()))
+        release(fixes)
+    return speed > _FLIES_MPS or high - low > _FLIES_M
+
+
 def _on_ground(record: AircraftRecord) -> Floats:
     """Return the spans (n, 2) of `now_s` on the ground or disarmed. An unknown state counts as flying."""
     spans: list[tuple[float, float]] = []
     landed, armed, since_s = False, True, None
+    unknown = began_in_flight(record)
     for now_s, what in record.facts.rare:
         if isinstance(what, LandedState):
             landed = what.landed is Landed.ON_GROUND
         elif isinstance(what, Heartbeat):
-            armed = what.armed
+            armed = what.armed or unknown
         stands = landed or not armed
         if stands and since_s is None:
             since_s = now_s
