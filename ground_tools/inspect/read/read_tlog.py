@@ -46,7 +46,7 @@ from companion.events import (
     VehicleTime,
     VelocitySetpoint,
 )
-from ground_tools.inspect.read.facts import Facts, Gatherer
+from ground_tools.inspect.read.facts import UTC_NOISE_S, Facts, Gatherer
 from ground_tools.inspect.read.link_health import LinkHealth, Tally
 from ground_tools.inspect.read.modes import mode_name
 
@@ -134,6 +134,12 @@ def read(path: Path) -> Tlog:
     # One log has one clock, so its error is the same for all vehicles.
     offset = float(np.median(told)) if told else 0.0
     problems = _damage(path.name, counts, clock)
+    if told and max(told) - min(told) > UTC_NOISE_S:
+        offset = min(told, key=abs)
+        problems += (
+            f"{path.name}: its vehicles report UTCs {max(told) - min(told):.0f} s apart; the one that "
+            "is nearest to the log's own time stamps is used",
+        )
     return Tlog(
         tuple(
             LoggedVehicle(

@@ -22,6 +22,7 @@ from ground_tools.inspect.explain import air, manoeuvres, traffic
 from ground_tools.inspect.explain.manoeuvres import Manoeuvre
 from ground_tools.inspect.read import flight_figures
 from ground_tools.inspect.read.conditions import wind_figures
+from ground_tools.inspect.read.facts import UTC_NOISE_S
 from ground_tools.inspect.read.faults import faults
 from ground_tools.inspect.read.flown import Flown, Path, Separation, closest, flown
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
@@ -79,8 +80,19 @@ def describe(run: Run) -> dict[str, Any]:
         ],
         "air": air_rows,
         "notes": list(run.notes),
-        "problems": [*run.problems, *_cut_off(run, offsets), *unknown, *air_problems],
+        "problems": [*run.problems, *_cut_off(run, offsets), *_clock_set(run), *unknown, *air_problems],
     }
+
+
+def _clock_set(run: Run) -> list[str]:
+    """Report a clock that was set within a record: one offset to UTC is then wrong for a part of it."""
+    return [
+        f"{record.name}: the clock of its record, or the vehicle's UTC, was set by about "
+        f"{record.facts.utc_off_s:.0f} s; a part of the record is placed wrongly by that on the time line, "
+        "and separations there are not those that were flown"
+        for record in run.aircraft
+        if record.facts.utc_off_s > UTC_NOISE_S
+    ]
 
 
 def _mark_beyond(run: Run, aircraft: list[dict[str, Any]], ways: Flown | None) -> None:

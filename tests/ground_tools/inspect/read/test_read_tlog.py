@@ -283,6 +283,33 @@ def test_a_clock_that_is_set_forward_moves_the_rest(tmp_path: Path) -> None:
     assert run.problems == ()
 
 
+def with_utc(path: Path, offsets: dict[int, float], jump_s: float = 0.0) -> Run:
+    """Vehicles by their system ids, and by how much their UTC is off; after 40 of 60 s the log's clock is set
+    forward by `jump_s`."""
+    records = []
+    for system, off_s in offsets.items():
+        one = MavlinkWriter(system, 1)
+        for t in range(60):
+            now = mavlink.MAVLink_system_time_message(round((UTC_S + t + off_s) * 1e6), 1000 * t)
+            stamp = t + (jump_s if t >= 40 else 0.0)
+            records += [(stamp, one.pack(m)) for m in (beat(2, 3), now, place(t, 47.0 + 1e-4 * system))]
+    return read_run(log(path, sorted(records, key=lambda record: record[0])))
+
+
+@pytest.mark.parametrize(("jump_s", "told"), [(0.0, False), (3600.0, True)])
+def test_a_clock_that_is_set_forward_in_flight_is_told(tmp_path: Path, jump_s: float, told: bool) -> None:
+    figures = describe(with_utc(tmp_path / "pi.tlog", {1: 0.0}, jump_s))
+    assert any("was set by about 3600 s" in words for words in figures["problems"]) is told
+
+
+def test_vehicles_that_disagree_about_utc_are_told(tmp_path: Path) -> None:
+    """The median of two is the UTC of neither."""
+    run = with_utc(tmp_path / "field.tlog", {1: 0.4, 2: -7e7})
+    assert [one.facts.utc_offset_s for one in run.aircraft] == pytest.approx([0.4, 0.4])
+    assert "report UTCs 70000000 s apart" in run.problems[0]
+    assert with_utc(tmp_path / "fine.tlog", {1: 0.4, 2: 0.6}).problems == ()
+
+
 def test_numbers_that_are_missing_and_silences_are_counted(tmp_path: Path) -> None:
     one = MavlinkWriter(1, 1)
     frames = [one.pack(beat(2, 3)) for _ in range(300)]
