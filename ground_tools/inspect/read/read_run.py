@@ -398,11 +398,8 @@ def _aircraft(path: Path, tlog: Path | None, folder: Path, problems: list[str]) 
     def link() -> LinkHealth | None:
         if tlog is None or facts.utc_offset_s is None:
             return None
-        try:
-            # A companion stamps its telemetry log with the vehicle's UTC.
-            return read_tlog.read_health(tlog).moved(-facts.utc_offset_s)
-        except (PeerDataError, OSError):
-            return None
+        # A companion stamps its telemetry log with the vehicle's UTC.
+        return read_tlog.read_health(tlog).moved(-facts.utc_offset_s)
 
     header = headers[0] if headers else None
     return AircraftRecord(name, header, facts, steps, _truth(folder, name, problems), link_of=link)

@@ -159,16 +159,18 @@ def read(path: Path) -> Tlog:
 
 
 def read_health(path: Path) -> LinkHealth:
-    """Read only the quality of the link, without reboots and bad values.
-
-    Raises:
-        PeerDataError: The file is not a telemetry log.
-        OSError: The file cannot be read.
-    """
-    counts, tally = TlogCounts(), Tally()
-    for _ in _frames(path, counts, _Clock(), tally, frozenset()):
-        pass
-    return tally.health(array("d"), counts, 0)
+    """Read only the quality of the link, without reboots and bad values, and what is damaged."""
+    counts, clock, tally = TlogCounts(), _Clock(), Tally()
+    failed: tuple[str, ...] = ()
+    try:
+        for _ in _frames(path, counts, clock, tally, frozenset()):
+            pass
+    except PeerDataError as error:
+        failed = (str(error),)
+    except OSError as error:
+        failed = (f"{path.name}: cannot be read: {error.strerror}",)
+    problems = (*_damage(path.name, counts, clock), *failed)
+    return replace(tally.health(array("d"), counts, 0), problems=problems)
 
 
 def _steps(path: Path, system_id: int) -> Iterator[Step]:

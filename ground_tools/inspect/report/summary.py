@@ -80,8 +80,20 @@ def describe(run: Run) -> dict[str, Any]:
         ],
         "air": air_rows,
         "notes": list(run.notes),
-        "problems": [*run.problems, *_cut_off(run, offsets), *_clock_set(run), *unknown, *air_problems],
+        "problems": [
+            *run.problems,
+            *_cut_off(run, offsets),
+            *_clock_set(run),
+            *_links(run),
+            *unknown,
+            *air_problems,
+        ],
     }
+
+
+def _links(run: Run) -> list[str]:
+    """Report damage of the telemetry logs beside event records."""
+    return [problem for record in run.aircraft if record.link is not None for problem in record.link.problems]
 
 
 def _clock_set(run: Run) -> list[str]:
