@@ -333,10 +333,18 @@ def _onboard_logs(folder: Path, problems: list[str], notes: list[str]) -> list[A
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() not in read_onboard.SUFFIXES or not path.is_file():
             continue
-        with path.open("rb") as stream:
-            reader = read_onboard.reader_of(stream.read(8))
-        if reader is not None:  # names of other files may also end in .bin
+        try:
+            with path.open("rb") as stream:
+                head = stream.read(8)
+        except OSError as error:
+            problems.append(f"{path.name}: cannot be read: {error.strerror}")
+            continue
+        reader = read_onboard.reader_of(head)
+        if reader is not None:
             found += _onboard(path, reader, problems, notes)
+        elif path.suffix.lower() != ".bin":  # names of other files may also end in .bin
+            begins = f"begins with {head.hex(' ')}" if head else "is empty"
+            problems.append(f"{path.name}: no ULog file: it {begins}")
     if len(found) > 1:
         problems += [
             f"{one.name}: the log is left out, because it has no UTC and so cannot be aligned with the others"

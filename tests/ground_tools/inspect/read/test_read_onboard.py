@@ -331,3 +331,18 @@ def test_a_log_of_an_aircraft_that_stood_is_no_flight(tmp_path: Path):
     figures = describe(together(runs))
     assert figures["separations"][0]["minimum_m"] is None
     assert [one["flight"]["armed_s"] for one in figures["aircraft"]] == [0.0, 0.0]
+
+
+def test_a_log_of_a_folder_that_is_none_is_told(tmp_path: Path):
+    """A file whose name ends in .bin may be anything; one that ends in .ulg was a log."""
+    run_of_one = read_run(logs.px4(tmp_path / "a.ulg"))
+    (tmp_path / "b.ulg").write_bytes(b"")
+    (tmp_path / "c.ulg").write_bytes(b"\0" * 100)
+    (tmp_path / "model.bin").write_bytes(b"weights")
+    run = read_run(tmp_path)
+    assert len(run.aircraft) == 1
+    assert run.problems == (
+        *run_of_one.problems,
+        "b.ulg: no ULog file: it is empty",
+        "c.ulg: no ULog file: it begins with 00 00 00 00 00 00 00 00",
+    )
