@@ -123,7 +123,7 @@ def flown(run: Run) -> Flown:
             fixes[record.name][:, 0] + line.offsets_s[record.name],
             _positions(fixes[record.name], origin),
             _radius_m(record),
-            _on_ground(record) + line.offsets_s[record.name],
+            on_ground(record) + line.offsets_s[record.name],
         )
         for record in run.aircraft
         if len(fixes[record.name])
@@ -181,7 +181,7 @@ def _true_paths(run: Run, line: TimeLine, own: tuple[Path, ...]) -> tuple[tuple[
         if record.truth is None:
             return (), f"those of {record.name} are missing"
         time = record.truth[:, 0] - line.utc_at_zero_s
-        ground = _on_ground(record) + line.offsets_s[record.name]
+        ground = on_ground(record) + line.offsets_s[record.name]
         paths.append(Path(record.name, time, record.truth[:, 1:], _radius_m(record), ground))
     by_name = {path.name: path for path in own}
     for path in paths:
@@ -231,7 +231,7 @@ def began_in_flight(record: AircraftRecord) -> bool:
     return speed > _FLIES_MPS or high - low > _FLIES_M
 
 
-def _on_ground(record: AircraftRecord) -> Floats:
+def on_ground(record: AircraftRecord) -> Floats:
     """Return the spans (n, 2) of `now_s` on the ground or disarmed. An unknown state counts as flying."""
     spans: list[tuple[float, float]] = []
     landed, armed, since_s = False, True, None

@@ -170,9 +170,22 @@ def test_an_aircraft_that_came_near_after_its_record_was_cut_off_is_told(tmp_pat
     assert ("Other aircraft that were heard" in terminal.text(figures)) is told
 
 
+@pytest.mark.parametrize("flies", [True, False])
+def test_who_stands_beside_at_the_start_does_not_hide_who_comes_near_in_flight(tmp_path, flies):
+    steps = []
+    for k in range(60):
+        where = LandedState(landed=Landed.IN_AIR if flies and k >= 10 else Landed.ON_GROUND)
+        beside = remote_id("BESIDE", 5.0 * k, 3.0) if k < 10 else remote_id("BESIDE", 0.0, 800.0)
+        near = remote_id("NEAR", 5.0 * k, 12.0 + 20.0 * abs(40 - k))
+        steps.append(step(float(k), events=(where, beside, near)))
+    write(tmp_path, ONE, steps)
+    line = headline.verdicts(describe(read_run(tmp_path)))[0]
+    assert line.startswith(f"Nearest other aircraft: {'NEAR, 12' if flies else 'BESIDE, 3'} m beside ONE")
+
+
 def test_an_aircraft_that_is_heard_after_both_have_landed_came_not_near(tmp_path):
     landed = LandedState(landed=Landed.ON_GROUND)
-    steps = [step(float(k), events=(remote_id("TWO", 5.0 * k, 300.0),)) for k in range(10)]
+    steps = [step(float(k)) for k in range(10)]
     steps += [step(float(k), events=(landed, remote_id("TWO", 5.0 * k, 3.0))) for k in range(10, 20)]
     write(tmp_path, ONE, steps)
     write(tmp_path, Config(identity=IdentityConfig(uas_id="TWO")), [step(float(k)) for k in range(9)])
