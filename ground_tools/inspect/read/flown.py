@@ -370,7 +370,14 @@ def _relative(first: Path, second: Path) -> Iterator[tuple[Floats, Floats]]:
     start = max(first.time_s[0], second.time_s[0])
     end = min(first.time_s[-1], second.time_s[-1])
     ground = np.concatenate([first.on_ground_s, second.on_ground_s])
-    for begin in np.arange(start, max(end, np.nextafter(start, np.inf)), PART_S) if start <= end else ():
+    begin, last = start, max(end, np.nextafter(start, np.inf))
+    while start <= end and begin < last:
+        # Parts before the next position of either are unknown. A clock that was set can make years of them.
+        known = max(path.time_s[np.searchsorted(path.time_s, begin)] for path in (first, second))
+        if known > begin + PART_S:
+            skipped, begin = begin, begin + (known - begin) // PART_S * PART_S
+            yield np.array([skipped, begin]), np.full((2, 3), np.nan)
+            continue
         stop = min(begin + PART_S, end)
         near = between(first, begin, stop), between(second, begin, stop)
         # The samples are included, so that the closest approach does not fall between two grid points.
@@ -380,6 +387,7 @@ def _relative(first: Path, second: Path) -> Iterator[tuple[Floats, Floats]]:
         for start_s, end_s in ground[(ground[:, 0] <= stop) & (ground[:, 1] >= begin)]:
             relative[(time >= start_s) & (time <= end_s)] = np.nan
         yield time, relative
+        begin += PART_S
 
 
 def between(path: Path, start_s: float, end_s: float) -> Path:
