@@ -56,9 +56,16 @@ def _on_separation(figures: dict[str, Any]) -> list[str]:
     lost = sum(not row["kept"] for row in known)
     how = f"LOST by {lost} of {len(known)} pairs" if lost else f"kept by {len(known)} of {len(known)} pairs"
     least = known[0]
+    in_pairs = {name for row in known for name in row["pair"]}
+    clocks = [
+        f"; not certain, because the clock of {one['name']} was set by {one['clock_set_s']:.0f} s"
+        for one in figures["aircraft"]
+        if one["clock_set_s"] is not None and one["name"] in in_pairs
+    ]
     return [
         f"Separation {how}; {' - '.join(least['pair'])}: closest {least['minimum_m']:.2f} m at "
         f"{least['minimum_time_s']:.2f} s ({least['required_m']:g} m {'kept' if least['kept'] else 'LOST'})"
+        f"{''.join(clocks[:1])}"
     ]
 
 

@@ -161,6 +161,7 @@ def _aircraft(
         "use": None if record.header is None else record.header.config.flight.use,
         "steps": facts.steps,
         "duration_s": facts.duration_s,
+        "clock_set_s": facts.utc_off_s if facts.utc_off_s > UTC_NOISE_S else None,
         "broadcasts": sum(len(times) for times in facts.sent.values()),
         "heard": sum(len(heard.now_s) for heard in facts.heard.values()),
         "decisions": len(facts.decisions.now_s),

@@ -27,6 +27,7 @@ from ground_tools.inspect.read import read_tlog
 from ground_tools.inspect.read.flown import flown
 from ground_tools.inspect.read.modes import mode_name
 from ground_tools.inspect.read.read_run import AircraftRecord, Run, read_run
+from ground_tools.inspect.report import headline
 from ground_tools.inspect.report.summary import describe, text
 
 THINNED = Path(__file__).parents[3] / "data"
@@ -298,7 +299,10 @@ def with_utc(path: Path, offsets: dict[int, float], jump_s: float = 0.0) -> Run:
 
 @pytest.mark.parametrize(("jump_s", "told"), [(0.0, False), (3600.0, True)])
 def test_a_clock_that_is_set_forward_in_flight_is_told(tmp_path: Path, jump_s: float, told: bool) -> None:
-    figures = describe(with_utc(tmp_path / "pi.tlog", {1: 0.0}, jump_s))
+    figures = describe(with_utc(tmp_path / "pi.tlog", {1: 0.0, 2: 0.0}, jump_s))
+    first = headline.verdicts(figures)[0]
+    assert first.startswith("Separation")
+    assert first.endswith("not certain, because the clock of pi 1 was set by 3600 s") is told
     assert any("was set by about 3600 s" in words for words in figures["problems"]) is told
 
 
