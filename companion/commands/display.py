@@ -23,7 +23,7 @@ from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, quote, urlsplit
 
 import msgspec
 
@@ -132,7 +132,9 @@ class Display(ThreadingHTTPServer):
         """Address to open in a browser on this computer, or with the computer's own address in others."""
         host = socket.gethostname() if self._address.is_unspecified else str(self._address)
         shown = f"[{host}]" if ":" in host else host
-        return f"http://{shown}:{self.server_port}/" + ("" if self.token is None else f"?token={self.token}")
+        return f"http://{shown}:{self.server_port}/" + (
+            "" if self.token is None else f"?token={quote(self.token, safe='')}"
+        )
 
     def is_ours(self, host: str) -> bool:
         """Whether a Host header names this computer in a way that no other host's name can."""

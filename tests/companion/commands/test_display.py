@@ -129,6 +129,12 @@ def test_a_token_may_be_given_on_loopback_too(flight):
         assert get(display, "/state?token=correct%20horse")[0] == 200
 
 
+@pytest.mark.parametrize("token", ["a b&c#d%e+f=gh", "schlüssel-für-heute"])
+def test_the_printed_address_works_with_any_token(flight, token):
+    with served(flight[0], token=token) as display:
+        assert get(display, display.url.removeprefix(f"http://127.0.0.1:{display.server_port}"))[0] == 200
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
