@@ -12,6 +12,7 @@ answered, and on other interfaces only those with the token.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import ipaddress
 import os
 import secrets
@@ -22,7 +23,7 @@ from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, quote, urlsplit
 
 import msgspec
 
@@ -35,7 +36,7 @@ PERIOD_S: Final = 0.5
 MOST_AT_ONCE: Final = 16
 """Most requests at a time; further ones are closed at once."""
 _PATIENCE_S: Final = 5.0
-"""How long a browser may take for a request."""
+"""How long a browser may take for a request, from its connection to the last byte of the answer."""
 _LEAST_TOKEN: Final = 12
 _PAGE: Final = Path(__file__).with_name("display.html")
 _HEADERS: Final = {
@@ -131,7 +132,9 @@ class Display(ThreadingHTTPServer):
         """Address to open in a browser on this computer, or with the computer's own address in others."""
         host = socket.gethostname() if self._address.is_unspecified else str(self._address)
         shown = f"[{host}]" if ":" in host else host
-        return f"http://{shown}:{self.server_port}/" + ("" if self.token is None else f"?token={self.token}")
+        return f"http://{shown}:{self.server_port}/" + (
+            "" if self.token is None else f"?token={quote(self.token, safe='')}"
+        )
 
     def is_ours(self, host: str) -> bool:
         """Whether a Host header names this computer in a way that no other host's name can."""
@@ -152,13 +155,25 @@ class Display(ThreadingHTTPServer):
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Answer one request."""
+        # The timeout of the socket counts from each byte anew, so that a client which sends one byte now and
+        # then would hold its thread for ever.
+        limit = threading.Timer(_PATIENCE_S, _end, [request])
+        limit.daemon = True
+        limit.start()
         try:
             super().process_request_thread(request, client_address)
         finally:
+            limit.cancel()
             self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore a browser that closed its connection."""
+
+
+def _end(request: socket.socket) -> None:
+    """End a connection, so that a thread that waits for it goes on."""
+    with contextlib.suppress(OSError):
+        request.shutdown(socket.SHUT_RDWR)
 
 
 class _Handler(BaseHTTPRequestHandler):

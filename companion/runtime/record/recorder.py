@@ -25,7 +25,7 @@ import msgspec
 from companion import __version__, event_record
 from companion.config import RecordConfig
 from companion.errors import ConfigError
-from companion.runtime import clock
+from companion.runtime import clock, plain_json
 from companion.runtime.record.disk import MANIFEST, DiskFloor, lock, replace_file, write_all
 
 _QUEUE = 20_000
@@ -316,4 +316,4 @@ class FlightRecorder:
 
 def write_json(path: Path, value: object) -> None:
     """Write a small JSON file."""
-    replace_file(path, msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n")
+    replace_file(path, msgspec.json.format(plain_json.encode(value), indent=2) + b"\n")

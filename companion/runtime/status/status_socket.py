@@ -16,6 +16,7 @@ from pathlib import Path
 import msgspec
 
 from companion.errors import ConfigError
+from companion.runtime import plain_json
 
 SUFFIX = ".sock"
 MOST_TRACKS = 50
@@ -151,7 +152,7 @@ class StatusServer:
             with client, contextlib.suppress(OSError):
                 client.setblocking(False)
                 client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
-                answer = answer or msgspec.json.encode(state()) + b"\n"
+                answer = answer or plain_json.encode(state()) + b"\n"
                 client.send(answer)
 
     def close(self) -> None:

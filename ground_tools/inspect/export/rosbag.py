@@ -24,6 +24,8 @@ _LEVELS = {"INFO": 20, "WARN": 30, "ERROR": 40, "CRITICAL": 50}
 """Levels of rcl_interfaces/msg/Log."""
 _FIX, _NO_FIX = 0, -1
 """Values of `status` in sensor_msgs/msg/NavSatStatus."""
+_END_S = 2**31 - 1
+"""Last second of builtin_interfaces/Time."""
 Message = tuple[str, str, float, Any]
 """Topic, type, time on the run's time line (s), message."""
 
@@ -32,7 +34,8 @@ def write(run: Run, ways: Flown, pairs: list[Separation], path: Path) -> int:
     """Write the bag, which is the new folder `path`; returns the number of messages.
 
     Raises:
-        ConfigError: rosbags is not installed, the folder exists already, or it cannot be written.
+        ConfigError: rosbags is not installed, the folder exists already, it cannot be written, or the times
+            are later than ROS 2 can write.
     """
     try:
         from rosbags.rosbag2 import Writer
@@ -43,6 +46,11 @@ def write(run: Run, ways: Flown, pairs: list[Separation], path: Path) -> int:
         raise ConfigError(f"{path}: it exists already; give the path of a new folder")
     store = get_typestore(Stores.ROS2_HUMBLE)
     zero_ns, count = topics.zero_ns(run, ways), 0
+    end_s = max(record.facts.end_s + ways.offsets_s[record.name] for record in run.aircraft)
+    if zero_ns / 1e9 + end_s >= _END_S:
+        raise ConfigError(
+            f"{path}: the run ends after 2038-01-19 03:14:07Z, the last time that ROS 2 can write; use --mcap"
+        )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with Writer(path, version=_VERSION) as writer:

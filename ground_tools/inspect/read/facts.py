@@ -63,6 +63,8 @@ _OWN_AGE_S = 2.0
 _CLOCK_OFF_S = 5.0
 """A sender's timestamp that differs from the time of reception by more than this is ignored."""
 
+UTC_NOISE_S = 5.0
+"""Reports of UTC over a bad telemetry link are late by up to about this."""
 _FIX = 8
 """Columns of a fix."""
 _RARE = (
@@ -147,6 +149,8 @@ class Facts:
     decisions: Decisions
     utc_offset_s: float | None
     """Offset from `now_s` to UTC; None if the aircraft never knew UTC."""
+    utc_off_s: float
+    """Largest difference of a single report of UTC from `utc_offset_s`; 0 if the aircraft never knew UTC."""
     undulation_m: float
     """Height of mean sea level above the ellipsoid (m); 0 if the GNSS does not report it."""
     sent: dict[str, Floats]
@@ -156,6 +160,8 @@ class Facts:
     gnss: GnssQuality
     adsb: dict[str, HeardAdsb]
     """Aircraft heard by ADS-B, by their ICAO addresses."""
+    adsb_left_out: int
+    """Number of ADS-B reports of further aircraft, which were farther away."""
     tracks: dict[str, TrackFacts]
     """Tracks in the law's decisions, by track id."""
     rare: tuple[tuple[float, AnyEvent | AnyCommand], ...]
@@ -319,6 +325,7 @@ class Gatherer:
 
     def facts(self) -> Facts:
         """Return everything gathered. The arrays are shared, not copied, so no further step can be added."""
+        utc = np.asarray(self.utc)
         return Facts(
             steps=self.steps,
             start_s=self.start_s,
@@ -331,7 +338,8 @@ class Gatherer:
                 feasible=np.frombuffer(self.feasible, dtype=np.bool_),
                 conflict=np.frombuffer(self.conflict, dtype=np.bool_),
             ),
-            utc_offset_s=float(np.median(self.utc)) if self.utc else None,
+            utc_offset_s=float(np.median(utc)) if len(utc) else None,
+            utc_off_s=float(abs(utc - np.median(utc)).max()) if len(utc) else 0.0,
             undulation_m=float(np.median(self.undulation)) if self.undulation else 0.0,
             sent={name: np.asarray(times) for name, times in self.sent.items()},
             heard={
@@ -345,6 +353,7 @@ class Gatherer:
             },
             gnss=self.gnss,
             adsb=self.adsb.heard(),
+            adsb_left_out=self.adsb.left_out,
             tracks={name: _track_facts(found) for name, found in self.tracks.items()},
             rare=tuple(self.rare),
         )

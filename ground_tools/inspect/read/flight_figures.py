@@ -14,7 +14,7 @@ from companion.events import (
     AuthorityChanged,
     Heartbeat,
 )
-from ground_tools.inspect.read.flown import MAX_GAP_S, to_ned
+from ground_tools.inspect.read.flown import MAX_GAP_S, began_in_flight, to_ned
 from ground_tools.inspect.read.heights import spikes
 from ground_tools.inspect.read.modes import mode_name
 from ground_tools.inspect.read.read_run import AircraftRecord
@@ -44,7 +44,7 @@ def flight_figures(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
     return {
         "start_s": record.facts.start_s + offset_s,
         "end_s": record.facts.end_s + offset_s,
-        "armed_s": sum(b - a for a, b, _ in armed) if beats else None,
+        "armed_s": sum(b - a for a, b, _ in armed) if beats and not began_in_flight(record) else None,
         "armed": [{"from_s": a + offset_s, "to_s": b + offset_s} for a, b, _ in armed],
         "distance_m": distance,
         "max_speed_mps": speed,
@@ -120,8 +120,18 @@ def missing(record: AircraftRecord) -> list[str]:
         )
     if not any(isinstance(what, Heartbeat) for _, what in facts.rare):
         found.append("heartbeats are missing, so arming and modes are not known")
+    if began_in_flight(record):
+        found.append(
+            "the log shows a flight but no arming, so it probably begins in the air; the aircraft counts as "
+            "flying throughout"
+        )
     if facts.utc_offset_s is None:
         found.append("UTC is missing, so latencies are not known")
+    if facts.adsb_left_out:
+        found.append(
+            f"{facts.adsb_left_out} ADS-B reports are left out: there were more than {len(facts.adsb)} "
+            "aircraft, and only the nearest are shown"
+        )
     if record.header is not None and not facts.sent:
         found.append("no Remote ID was sent")
     if record.header is not None and not facts.heard:

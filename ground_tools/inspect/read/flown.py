@@ -39,6 +39,8 @@ _SPARSE = 3.0
 """If samples are rare, only a silence of this many times their usual interval is a gap."""
 MAX_ERROR_M = 200.0
 """True positions farther than this from the aircraft's own positions belong to another frame or flight."""
+_FLIES_MPS, _FLIES_M = 3.0, 10.0
+"""An aircraft that was faster than this, or whose altitude changed by more than this, has flown."""
 SAME_M = 2.0
 """Two recordings of one aircraft are closer to each other than this if their clocks agree to about 0.1 s."""
 TRUE = "true positions"
@@ -121,7 +123,7 @@ def flown(run: Run) -> Flown:
             fixes[record.name][:, 0] + line.offsets_s[record.name],
             _positions(fixes[record.name], origin),
             _radius_m(record),
-            _on_ground(record) + line.offsets_s[record.name],
+            on_ground(record) + line.offsets_s[record.name],
         )
         for record in run.aircraft
         if len(fixes[record.name])
@@ -179,7 +181,7 @@ def _true_paths(run: Run, line: TimeLine, own: tuple[Path, ...]) -> tuple[tuple[
         if record.truth is None:
             return (), f"those of {record.name} are missing"
         time = record.truth[:, 0] - line.utc_at_zero_s
-        ground = _on_ground(record) + line.offsets_s[record.name]
+        ground = on_ground(record) + line.offsets_s[record.name]
         paths.append(Path(record.name, time, record.truth[:, 1:], _radius_m(record), ground))
     by_name = {path.name: path for path in own}
     for path in paths:
@@ -210,15 +212,35 @@ def _radius_m(record: AircraftRecord) -> float:
     return (record.header.config.avoidance if record.header else AvoidanceConfig()).conflict_radius_m
 
 
-def _on_ground(record: AircraftRecord) -> Floats:
+def began_in_flight(record: AircraftRecord) -> bool:
+    """Return whether an onboard log shows a flight but no arming, so that it is not known when the aircraft
+    was armed.
+
+    ArduPilot logs only changes of the arming. A log that begins in flight, as after a restart in the air, or
+    whose beginning is damaged, therefore looks disarmed to its end.
+    """
+    beats = [what for _, what in record.facts.rare if isinstance(what, Heartbeat)]
+    if record.log != "onboard" or not beats or any(beat.armed for beat in beats):
+        return False
+    fixes, speed, low, high = record.facts.fixes, 0.0, np.inf, -np.inf
+    for at_row in range(0, len(fixes), BLOCK):
+        rows = fixes[at_row : at_row + BLOCK]
+        speed = max(speed, float(np.hypot(rows[:, 4], rows[:, 5]).max()))
+        low, high = min(low, float(rows[:, 3].min())), max(high, float(rows[:, 3].max()))
+        release(fixes)
+    return speed > _FLIES_MPS or high - low > _FLIES_M
+
+
+def on_ground(record: AircraftRecord) -> Floats:
     """Return the spans (n, 2) of `now_s` on the ground or disarmed. An unknown state counts as flying."""
     spans: list[tuple[float, float]] = []
     landed, armed, since_s = False, True, None
+    unknown = began_in_flight(record)
     for now_s, what in record.facts.rare:
         if isinstance(what, LandedState):
             landed = what.landed is Landed.ON_GROUND
         elif isinstance(what, Heartbeat):
-            armed = what.armed
+            armed = what.armed or unknown
         stands = landed or not armed
         if stands and since_s is None:
             since_s = now_s
@@ -348,7 +370,14 @@ def _relative(first: Path, second: Path) -> Iterator[tuple[Floats, Floats]]:
     start = max(first.time_s[0], second.time_s[0])
     end = min(first.time_s[-1], second.time_s[-1])
     ground = np.concatenate([first.on_ground_s, second.on_ground_s])
-    for begin in np.arange(start, max(end, np.nextafter(start, np.inf)), PART_S) if start <= end else ():
+    begin, last = start, max(end, np.nextafter(start, np.inf))
+    while start <= end and begin < last:
+        # Parts before the next position of either are unknown. A clock that was set can make years of them.
+        known = max(path.time_s[np.searchsorted(path.time_s, begin)] for path in (first, second))
+        if known > begin + PART_S:
+            skipped, begin = begin, begin + (known - begin) // PART_S * PART_S
+            yield np.array([skipped, begin]), np.full((2, 3), np.nan)
+            continue
         stop = min(begin + PART_S, end)
         near = between(first, begin, stop), between(second, begin, stop)
         # The samples are included, so that the closest approach does not fall between two grid points.
@@ -358,6 +387,7 @@ def _relative(first: Path, second: Path) -> Iterator[tuple[Floats, Floats]]:
         for start_s, end_s in ground[(ground[:, 0] <= stop) & (ground[:, 1] >= begin)]:
             relative[(time >= start_s) & (time <= end_s)] = np.nan
         yield time, relative
+        begin += PART_S
 
 
 def between(path: Path, start_s: float, end_s: float) -> Path:

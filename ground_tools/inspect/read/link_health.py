@@ -58,6 +58,8 @@ class LinkHealth:
     """Number of records with messages that this software's dialect does not have."""
     bad_values: int
     """Number of messages of this vehicle with invalid values."""
+    problems: tuple[str, ...] = ()
+    """Damage of a log that is read for the quality of the link only, one line each."""
 
     def moved(self, offset_s: float) -> LinkHealth:
         """Return a copy with `offset_s` added to all times."""

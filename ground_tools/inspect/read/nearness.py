@@ -19,7 +19,7 @@ ADSB_STAMP_S = 0.5
 """Mean error of the age of an ADS-B report, which is whole seconds, rounded down."""
 _COLUMNS = 4
 _MOST = 2000
-"""Most ADS-B addresses kept for one record; a log with more of them is damaged or hostile."""
+"""Most ADS-B addresses kept for one record: the nearest. A log with more of them is damaged or hostile."""
 
 
 @dataclass(slots=True)
@@ -27,6 +27,8 @@ class Approaches:
     """Collects approaches of one aircraft; keeps the nearest one of each second."""
 
     values: array[float] = field(default_factory=lambda: array("d"))
+    least_m: float = math.inf
+    """Least slant distance of all."""
 
     def add(self, now_s: float, away_ned_m: Vec3, *, vertical_known: bool) -> None:
         """Add one position relative to our own.
@@ -39,6 +41,7 @@ class Approaches:
         aside = math.hypot(away_ned_m[0], away_ned_m[1])
         above = -away_ned_m[2] if vertical_known else math.nan
         row = now_s, math.hypot(aside, above) if vertical_known else aside, aside, above
+        self.least_m = min(self.least_m, row[1])
         if not self.values or now_s - math.floor(self.values[-_COLUMNS]) >= 1.0:
             self.values.extend(row)
         elif row[1] < self.values[1 - _COLUMNS]:
@@ -81,7 +84,11 @@ class AdsbTally:
     """Collects the ADS-B reports of one record."""
 
     def __init__(self) -> None:
+        self.left_out = 0
+        """Number of reports of aircraft that were farther away than the `_MOST` that are kept."""
         self._heard: dict[int, _Adsb] = {}
+        self._farthest: tuple[float, int] | None = None
+        """Least distance so far of the farthest kept aircraft when it was last searched, and its address."""
 
     def hear(
         self,
@@ -99,18 +106,36 @@ class AdsbTally:
             undulation_m: height of the geoid above the ellipsoid. While it is unknown (None), a geometric
                 altitude, which is above the ellipsoid, cannot be compared with ours.
         """
-        if event.icao not in self._heard and len(self._heard) >= _MOST:
+        away_m: Vec3 | None = None
+        alt_m = event.alt_m
+        if own is not None:
+            if event.alt_geometric and alt_m is not None:
+                alt_m = None if undulation_m is None else alt_m - undulation_m
+            away_m = _away(event, own[2] if alt_m is None else alt_m, own)
+        if event.icao not in self._heard and len(self._heard) >= _MOST and not self._make_room(away_m):
+            self.left_out += 1
             return
         one = self._heard.setdefault(event.icao, _Adsb(now_s))
         one.reports, one.last_s = one.reports + 1, now_s
         one.callsign = event.callsign.strip() or one.callsign
         one.barometric |= event.alt_m is not None and not event.alt_geometric
-        if own is not None:
-            alt_m = event.alt_m
-            if event.alt_geometric and alt_m is not None:
-                alt_m = None if undulation_m is None else alt_m - undulation_m
-            away_m = _away(event, own[2] if alt_m is None else alt_m, own)
+        if away_m is not None:
             one.near.add(now_s, away_m, vertical_known=alt_m is not None)
+
+    def _make_room(self, away_m: Vec3 | None) -> bool:
+        """Drop the farthest aircraft if a new one is nearer; return whether there is room now."""
+        if away_m is None:
+            return False
+        slant_m = math.hypot(*away_m)
+        # A kept aircraft may only have come nearer since the search, so a new one that is farther than its
+        # distance then needs no new search.
+        if self._farthest is None or slant_m < self._farthest[0]:
+            self._farthest = max((one.near.least_m, icao) for icao, one in self._heard.items())
+        if slant_m >= self._farthest[0]:
+            return False
+        self.left_out += self._heard.pop(self._farthest[1]).reports
+        self._farthest = None
+        return True
 
     def heard(self) -> dict[str, HeardAdsb]:
         """The received aircraft, by the ICAO address in hexadecimal digits."""

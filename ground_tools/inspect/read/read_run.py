@@ -333,10 +333,18 @@ def _onboard_logs(folder: Path, problems: list[str], notes: list[str]) -> list[A
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() not in read_onboard.SUFFIXES or not path.is_file():
             continue
-        with path.open("rb") as stream:
-            reader = read_onboard.reader_of(stream.read(8))
-        if reader is not None:  # names of other files may also end in .bin
+        try:
+            with path.open("rb") as stream:
+                head = stream.read(8)
+        except OSError as error:
+            problems.append(f"{path.name}: cannot be read: {error.strerror}")
+            continue
+        reader = read_onboard.reader_of(head)
+        if reader is not None:
             found += _onboard(path, reader, problems, notes)
+        elif path.suffix.lower() != ".bin":  # names of other files may also end in .bin
+            begins = f"begins with {head.hex(' ')}" if head else "is empty"
+            problems.append(f"{path.name}: no ULog file: it {begins}")
     if len(found) > 1:
         problems += [
             f"{one.name}: the log is left out, because it has no UTC and so cannot be aligned with the others"
@@ -398,11 +406,8 @@ def _aircraft(path: Path, tlog: Path | None, folder: Path, problems: list[str]) 
     def link() -> LinkHealth | None:
         if tlog is None or facts.utc_offset_s is None:
             return None
-        try:
-            # A companion stamps its telemetry log with the vehicle's UTC.
-            return read_tlog.read_health(tlog).moved(-facts.utc_offset_s)
-        except (PeerDataError, OSError):
-            return None
+        # A companion stamps its telemetry log with the vehicle's UTC.
+        return read_tlog.read_health(tlog).moved(-facts.utc_offset_s)
 
     header = headers[0] if headers else None
     return AircraftRecord(name, header, facts, steps, _truth(folder, name, problems), link_of=link)

@@ -5,15 +5,17 @@ that a companion's link would make of them. Setpoints sent to it by any system b
 it relays (ADS-B, Remote ID) becomes heard traffic. Data that only a companion has is missing: decisions,
 tracks, authority. The log is streamed, and only `Facts` are kept.
 
-Times are the log's own timestamps, corrected so that they never decrease. They are UTC by the clock of the
-program that wrote the log. The vehicles' SYSTEM_TIME gives the error of that clock, which is stored in
-`Facts.utc_offset_s`.
+Times are the log's own timestamps, corrected so that they never decrease; damaged ones are replaced. They are
+UTC by the clock of the program that wrote the log. The vehicles' SYSTEM_TIME gives the error of that clock,
+which is stored in `Facts.utc_offset_s`.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from array import array
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -44,13 +46,15 @@ from companion.events import (
     VehicleTime,
     VelocitySetpoint,
 )
-from ground_tools.inspect.read.facts import Facts, Gatherer
+from ground_tools.inspect.read.facts import UTC_NOISE_S, Facts, Gatherer
 from ground_tools.inspect.read.link_health import LinkHealth, Tally
 from ground_tools.inspect.read.modes import mode_name
 
 SET_BACK_S = 1.0
 """A timestamp earlier than the last one by more than this means that the clock was set back; time then
 continues from the last timestamp. A smaller step means that records were logged out of order."""
+ALONE_S = 3600.0
+"""A first or last timestamp that is farther than this from its neighbours is a damaged one."""
 _HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 _TEXT = mavlink.MAVLINK_MSG_ID_STATUSTEXT
 _RADIO = mavlink.MAVLINK_MSG_ID_RADIO_STATUS
@@ -130,6 +134,12 @@ def read(path: Path) -> Tlog:
     # One log has one clock, so its error is the same for all vehicles.
     offset = float(np.median(told)) if told else 0.0
     problems = _damage(path.name, counts, clock)
+    if told and max(told) - min(told) > UTC_NOISE_S:
+        offset = min(told, key=abs)
+        problems += (
+            f"{path.name}: its vehicles report UTCs {max(told) - min(told):.0f} s apart; the one that "
+            "is nearest to the log's own time stamps is used",
+        )
     return Tlog(
         tuple(
             LoggedVehicle(
@@ -149,16 +159,18 @@ def read(path: Path) -> Tlog:
 
 
 def read_health(path: Path) -> LinkHealth:
-    """Read only the quality of the link, without reboots and bad values.
-
-    Raises:
-        PeerDataError: The file is not a telemetry log.
-        OSError: The file cannot be read.
-    """
-    counts, tally = TlogCounts(), Tally()
-    for _ in _frames(path, counts, _Clock(), tally, frozenset()):
-        pass
-    return tally.health(array("d"), counts, 0)
+    """Read only the quality of the link, without reboots and bad values, and what is damaged."""
+    counts, clock, tally = TlogCounts(), _Clock(), Tally()
+    failed: tuple[str, ...] = ()
+    try:
+        for _ in _frames(path, counts, clock, tally, frozenset()):
+            pass
+    except PeerDataError as error:
+        failed = (str(error),)
+    except OSError as error:
+        failed = (f"{path.name}: cannot be read: {error.strerror}",)
+    problems = (*_damage(path.name, counts, clock), *failed)
+    return replace(tally.health(array("d"), counts, 0), problems=problems)
 
 
 def _steps(path: Path, system_id: int) -> Iterator[Step]:
@@ -179,8 +191,7 @@ def _frames(
 ) -> Iterator[tuple[float, Frame]]:
     """Yield the frames of the wanted messages with their times; count all frames in `counts` and `tally`."""
     with path.open("rb") as stream:
-        for utc_s, raw in read_tlog(stream, path.name, counts):
-            now_s = clock.rising(utc_s)
+        for now_s, raw in clock.rising(read_tlog(stream, path.name, counts)):
             message_id = message_id_of(raw)
             if tally is not None:
                 number, system, component = raw[2:5] if raw[0] == MAGIC_V1 else raw[4:7]
@@ -203,14 +214,36 @@ def _concerned(frame: Frame, vehicles: dict[int, _Vehicle]) -> Iterable[tuple[in
 
 @dataclass(slots=True)
 class _Clock:
-    """Turns timestamps into times that never decrease."""
+    """Turns timestamps into times that never decrease.
+
+    A timestamp has no checksum. One that jumps, while the next one goes on from the one before, is damaged: a
+    single wrong bit may put it years away.
+    """
 
     last_s: float = -math.inf
     shift_s: float = 0.0
     set_back: int = 0
+    damaged: int = 0
 
-    def rising(self, utc_s: float) -> float:
-        """Return the corrected timestamp, or the last one if that is later."""
+    def rising(self, records: Iterable[tuple[float, bytes]]) -> Iterator[tuple[float, bytes]]:
+        """Yield records with corrected times: the timestamp, or the last one if that is later."""
+        coming = iter(records)
+        ahead = deque(itertools.islice(coming, 3))
+        before_s: float | None = None
+        """The last undamaged timestamp."""
+        while ahead:
+            utc_s, raw = ahead.popleft()
+            if before_s is None:
+                instead_s = _instead_of_first(utc_s, [later_s for later_s, _ in ahead])
+            else:
+                instead_s = _instead(before_s, utc_s, ahead[0][0] if ahead else None)
+            if instead_s is not None:
+                self.damaged += 1
+            before_s = utc_s if instead_s is None else instead_s
+            yield self._next(before_s), raw
+            ahead.extend(itertools.islice(coming, 1))
+
+    def _next(self, utc_s: float) -> float:
         now_s = utc_s + self.shift_s
         if now_s < self.last_s - SET_BACK_S:
             self.set_back += 1
@@ -218,6 +251,23 @@ class _Clock:
             now_s = self.last_s
         self.last_s = max(now_s, self.last_s)
         return self.last_s
+
+
+def _instead(before_s: float, utc_s: float, after_s: float | None) -> float | None:
+    """Return the time to use instead of a timestamp between two others; None if it is not damaged."""
+    if abs(utc_s - before_s) <= SET_BACK_S:
+        return None
+    if after_s is None:
+        return before_s if abs(utc_s - before_s) > ALONE_S else None
+    goes_on = after_s >= before_s - SET_BACK_S
+    leaps = utc_s > after_s + SET_BACK_S or utc_s < before_s - SET_BACK_S
+    return before_s if goes_on and leaps else None
+
+
+def _instead_of_first(utc_s: float, later_s: Sequence[float]) -> float | None:
+    """Return the time to use instead of the first timestamp; None if it is not damaged."""
+    far = bool(later_s) and all(abs(utc_s - one_s) > ALONE_S for one_s in later_s)
+    return later_s[0] if far else None
 
 
 @dataclass(slots=True)
@@ -370,6 +420,10 @@ def _damage(name: str, counts: TlogCounts, clock: _Clock) -> tuple[str, ...]:
     if counts.torn_bytes:
         found.append(
             f"{name}: the file is cut off; its last {counts.torn_bytes} bytes are not a whole record"
+        )
+    if clock.damaged:
+        found.append(
+            f"{name}: {clock.damaged} records have a damaged time stamp; that of a neighbour is used instead"
         )
     if clock.set_back:
         found.append(

@@ -42,6 +42,11 @@ def is_bad(words: str) -> bool:
     return words.startswith("Separation LOST") or (words.startswith("Remote ID") and "NOT kept by" in words)
 
 
+def is_other(row: dict[str, Any]) -> bool:
+    """Return whether a received aircraft came nearest at a time for which this run has no record of it."""
+    return not row["of_the_run"] or row["beyond_record"]
+
+
 def _on_separation(figures: dict[str, Any]) -> list[str]:
     """Lines about the separation of the recorded aircraft; none if there is only one."""
     known = [row for row in figures["separations"] if row["minimum_m"] is not None]
@@ -51,17 +56,24 @@ def _on_separation(figures: dict[str, Any]) -> list[str]:
     lost = sum(not row["kept"] for row in known)
     how = f"LOST by {lost} of {len(known)} pairs" if lost else f"kept by {len(known)} of {len(known)} pairs"
     least = known[0]
+    in_pairs = {name for row in known for name in row["pair"]}
+    clocks = [
+        f"; not certain, because the clock of {one['name']} was set by {one['clock_set_s']:.0f} s"
+        for one in figures["aircraft"]
+        if one["clock_set_s"] is not None and one["name"] in in_pairs
+    ]
     return [
         f"Separation {how}; {' - '.join(least['pair'])}: closest {least['minimum_m']:.2f} m at "
         f"{least['minimum_time_s']:.2f} s ({least['required_m']:g} m {'kept' if least['kept'] else 'LOST'})"
+        f"{''.join(clocks[:1])}"
     ]
 
 
 def _on_traffic(figures: dict[str, Any]) -> str:
-    """Line about the nearest aircraft without a record in this run: how near, when, and how it was
-    received."""
+    """Line about the nearest aircraft without a record in this run, or at a time that its record does not
+    cover: how near, when, and how it was received."""
     aircraft = figures["aircraft"]
-    others = [(one["name"], row) for one in aircraft for row in one["traffic"] if not row["of_the_run"]]
+    others = [(one["name"], row) for one in aircraft for row in one["traffic"] if is_other(row)]
     count = len({row["identity"] for _, row in others})
     predicted = [
         row for row in figures["conflicts"] if row["by"] != "positions" and not is_sensed(row["pair"][1])

@@ -103,7 +103,8 @@ def open_at_gaps(time: Floats, *rows: Floats, extreme: bool = False) -> tuple[Fl
     Args:
         time: (n,) rising times.
         rows: (n,) values of the line.
-        extreme: in the first of `rows`, keep the greatest value of every n samples, so that no peak is lost.
+        extreme: in the first of `rows`, keep the greatest and the least value of every n samples, so that no
+            peak is lost.
 
     Returns:
         The times and the values of the line to draw.
@@ -113,7 +114,10 @@ def open_at_gaps(time: Floats, *rows: Floats, extreme: bool = False) -> tuple[Fl
     every = np.arange(len(time))
     for part in (every[span] for span in unbroken(time, gap_s(time))):
         blocks = [part[at : at + step] for at in range(0, len(part), step)]
-        chosen = [block[np.argmax(rows[0][block])] if extreme else block[0] for block in blocks]
+        if extreme:
+            chosen = [block[of(rows[0][block])] for block in blocks for of in (np.argmax, np.argmin)]
+        else:
+            chosen = [block[0] for block in blocks]
         kept += [np.unique([*chosen, *part[-1:]]), np.array([-1])]
     index = np.concatenate(kept[:-1])
     return tuple(np.where(index < 0, np.nan, row[index]) for row in (time, *rows))
@@ -124,13 +128,12 @@ def lowest(time: Floats, values: Floats) -> tuple[Floats, Floats]:
     step = max(len(time) // MOST_POINTS, 1)
     if step == 1:
         return time, values
-    whole = len(time) // step * step
-    rows = np.where(np.isnan(values[:whole]), np.inf, values[:whole]).reshape(-1, step)
+    # The last row is filled up, so that the end of the line, which may be the least value, is not left out.
+    fill = -len(time) % step
+    rows = np.append(np.where(np.isnan(values), np.inf, values), np.full(fill, np.inf)).reshape(-1, step)
     best = rows.argmin(axis=1)
     least = rows[np.arange(len(rows)), best]
-    return time[:whole].reshape(-1, step)[np.arange(len(rows)), best], np.where(
-        np.isinf(least), np.nan, least
-    )
+    return time[np.arange(len(rows)) * step + best], np.where(np.isinf(least), np.nan, least)
 
 
 def paths(ways: Flown, pairs: list[Separation]) -> str:
@@ -226,7 +229,11 @@ def heights(run: Run, ways: Flown) -> str | None:
             time = fixes_of(record)[:, 0] + ways.offsets_s[record.name]
             bad = spikes(time, height)
             outside += zip(time[bad].tolist(), height[bad].tolist(), strict=True)
-            axes.plot(*open_at_gaps(time[~bad], height[~bad]), color=shade(index), label=plain(record.name))
+            axes.plot(
+                *open_at_gaps(time[~bad], height[~bad], extreme=True),
+                color=shade(index),
+                label=plain(record.name),
+            )
         low, high = axes.get_ylim()
         middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN_M)
         axes.set(xlabel="time (s)", ylabel="height above home (m)", ylim=(middle - half, middle + half))

@@ -22,8 +22,9 @@ from ground_tools.inspect.explain import air, manoeuvres, traffic
 from ground_tools.inspect.explain.manoeuvres import Manoeuvre
 from ground_tools.inspect.read import flight_figures
 from ground_tools.inspect.read.conditions import wind_figures
+from ground_tools.inspect.read.facts import UTC_NOISE_S
 from ground_tools.inspect.read.faults import faults
-from ground_tools.inspect.read.flown import Separation, closest, flown
+from ground_tools.inspect.read.flown import Flown, Path, Separation, closest, flown
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
 from ground_tools.inspect.read.timeline import time_line
 from ground_tools.inspect.report.terminal import text as text
@@ -56,15 +57,17 @@ def describe(run: Run) -> dict[str, Any]:
     done = {record.name: manoeuvres.find(record) for record in run.aircraft}
     offsets = line.offsets_s
     of_the_run = {_identity(record) for record in run.aircraft}
+    aircraft = [
+        _aircraft(record, done[record.name], offsets[record.name], of_the_run) for record in run.aircraft
+    ]
+    _mark_beyond(run, aircraft, ways)
     return {
         "run": run.name,
         "clock": line.words,
         "utc_at_zero_s": line.utc_at_zero_s,
         "positions": ways.positions if ways else None,
         "conflicts": _conflicts(run, pairs, done, offsets),
-        "aircraft": [
-            _aircraft(record, done[record.name], offsets[record.name], of_the_run) for record in run.aircraft
-        ],
+        "aircraft": aircraft,
         "separations": [
             {
                 "pair": [pair.first, pair.second],
@@ -77,8 +80,43 @@ def describe(run: Run) -> dict[str, Any]:
         ],
         "air": air_rows,
         "notes": list(run.notes),
-        "problems": [*run.problems, *_cut_off(run, offsets), *unknown, *air_problems],
+        "problems": [
+            *run.problems,
+            *_cut_off(run, offsets),
+            *_clock_set(run),
+            *_links(run),
+            *unknown,
+            *air_problems,
+        ],
     }
+
+
+def _links(run: Run) -> list[str]:
+    """Report damage of the telemetry logs beside event records."""
+    return [problem for record in run.aircraft if record.link is not None for problem in record.link.problems]
+
+
+def _clock_set(run: Run) -> list[str]:
+    """Report a clock that was set within a record: one offset to UTC is then wrong for a part of it."""
+    return [
+        f"{record.name}: the clock of its record, or the vehicle's UTC, was set by about "
+        f"{record.facts.utc_off_s:.0f} s; a part of the record is placed wrongly by that on the time line, "
+        "and separations there are not those that were flown"
+        for record in run.aircraft
+        if record.facts.utc_off_s > UTC_NOISE_S
+    ]
+
+
+def _mark_beyond(run: Run, aircraft: list[dict[str, Any]], ways: Flown | None) -> None:
+    """Mark the aircraft of the run that were heard nearest while their separation is not known."""
+    paths = {path.name: path for path in ways.paths} if ways else {}
+    of: dict[str, list[Path]] = {}
+    for record in run.aircraft:
+        if record.name in paths:
+            of.setdefault(_identity(record), []).append(paths[record.name])
+    for one in aircraft:
+        for row in one["traffic"]:
+            traffic.mark_beyond(row, paths.get(one["name"]), of.get(row["identity"], []))
 
 
 def _cut_off(run: Run, offsets: dict[str, float]) -> list[str]:
@@ -123,6 +161,7 @@ def _aircraft(
         "use": None if record.header is None else record.header.config.flight.use,
         "steps": facts.steps,
         "duration_s": facts.duration_s,
+        "clock_set_s": facts.utc_off_s if facts.utc_off_s > UTC_NOISE_S else None,
         "broadcasts": sum(len(times) for times in facts.sent.values()),
         "heard": sum(len(heard.now_s) for heard in facts.heard.values()),
         "decisions": len(facts.decisions.now_s),

@@ -240,7 +240,8 @@ def _link(aircraft: Sequence[dict[str, Any]]) -> Rows:
 
 
 def _traffic(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    """Rows of the received aircraft that have no record in this run, the nearest first."""
+    """Rows of the received aircraft that have no record in this run, or none of their nearest approach, the
+    nearest first."""
     head = ["other", "by", "from (s)", "to (s)", "reports"]
     head += ["nearest (m)", "at (s)", "beside (m)", "above (m)"]
 
@@ -259,7 +260,7 @@ def _traffic(aircraft: Sequence[dict[str, Any]]) -> Rows:
             above,
         ]
 
-    return _each(head, aircraft, lambda one: [r for r in one["traffic"] if not r["of_the_run"]], cells)
+    return _each(head, aircraft, lambda one: [r for r in one["traffic"] if headline.is_other(r)], cells)
 
 
 def _manoeuvres(aircraft: Sequence[dict[str, Any]]) -> Rows:

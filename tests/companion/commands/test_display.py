@@ -129,6 +129,12 @@ def test_a_token_may_be_given_on_loopback_too(flight):
         assert get(display, "/state?token=correct%20horse")[0] == 200
 
 
+@pytest.mark.parametrize("token", ["a b&c#d%e+f=gh", "schlüssel-für-heute"])
+def test_the_printed_address_works_with_any_token(flight, token):
+    with served(flight[0], token=token) as display:
+        assert get(display, display.url.removeprefix(f"http://127.0.0.1:{display.server_port}"))[0] == 200
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -174,6 +180,28 @@ def test_who_hangs_holds_neither_the_flight_nor_others(flight, monkeypatch):
             time.sleep(0.02)
         assert answered, "it never answers again"
         assert len(asked) == 1
+
+
+def test_who_sends_one_byte_now_and_then_is_given_up_too(flight, monkeypatch):
+    """Each byte restarts the socket's own timeout, which is without end here."""
+    path, _ = flight
+    monkeypatch.setattr(display_module._Handler, "timeout", None)
+    monkeypatch.setattr(display_module, "_PATIENCE_S", 0.3)
+    with served(path) as display, contextlib.ExitStack() as open_ones:
+        slow = [
+            open_ones.enter_context(socket.create_connection(("127.0.0.1", display.server_port), LONG_S))
+            for _ in range(MOST_AT_ONCE)
+        ]
+        for one in slow:
+            one.sendall(b"GET /state HTTP/1.1\r\nX-Slow: a")
+        assert [one.recv(1) for one in slow] == [b""] * MOST_AT_ONCE, "they are cut off"
+        deadline_s = time.monotonic() + LONG_S
+        answered = False
+        while not answered and time.monotonic() < deadline_s:
+            with contextlib.suppress(OSError, http.client.HTTPException):
+                answered = get(display, "/state")[0] == 200
+            time.sleep(0.02)
+        assert answered, "it never answers again"
 
 
 def test_a_flight_that_ended_is_said(tmp_path):

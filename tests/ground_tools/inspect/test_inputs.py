@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,6 +21,7 @@ from ground_tools.inspect.export import incident
 from ground_tools.inspect.read.flown import flown, separations
 from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.read.timeline import time_line, together
+from ground_tools.inspect.report.summary import describe
 from tests.ground_tools.inspect.flights import inspect
 
 OTHER_VERSION = MAGIC[:-1] + b"3" + bytes(100)
@@ -94,6 +96,25 @@ def test_the_link_of_a_companion_is_that_of_the_tlog_beside_it(
     assert component.frames == 601 + 2 * 61
     # Times are those of the record, which begins at 0.
     assert component.seconds[:, 0].tolist() == pytest.approx(range(61), abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda data: b"", ["not a telemetry log: it is empty"]),
+        (lambda data: b"no log" * 50, ["not a telemetry log"]),
+        (lambda data: data[:5000] + bytes(300) + data[5300:-7], ["1 damaged spans", "the file is cut off"]),
+        (lambda data: data, []),
+    ],
+)
+def test_damage_of_the_tlog_beside_a_record_is_told(
+    run_folder: Path, made: SimpleNamespace, spoil: Callable[[bytes], bytes], words: list[str]
+) -> None:
+    path = write_tlog(run_folder / "DMUCA001.tlog", made, made.northbound)
+    path.write_bytes(spoil(path.read_bytes()))
+    told = [line for line in describe(read_run(run_folder))["problems"] if line.startswith(path.name)]
+    assert len(told) == len(words)
+    assert all(word in line for word, line in zip(words, told, strict=True))
 
 
 def test_a_run_and_a_log_share_one_utc_line(run_folder: Path, tmp_path: Path, made: SimpleNamespace) -> None:

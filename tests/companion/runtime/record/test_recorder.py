@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import json
 import os
 import shutil
 import threading
@@ -16,7 +17,7 @@ from companion.errors import ConfigError
 from companion.event_record import Header, Step
 from companion.runtime import clock
 from companion.runtime.record import disk
-from companion.runtime.record.recorder import FlightRecorder, create_run_folder
+from companion.runtime.record.recorder import FlightRecorder, create_run_folder, write_json
 
 SLOW = RecordConfig(sync_period_s=60.0, keep_free_mb=0.0)
 QUICK = RecordConfig(sync_period_s=0.01, keep_free_mb=0.0)
@@ -272,3 +273,8 @@ def test_below_the_floor_writing_stops_and_what_is_lost_is_counted(
     assert recorder.error == "less than 300 MB are free on the disk (record.keep_free_mb)"
     assert recorder.dropped == 2
     assert recorded(tmp_path) == [header, step(0.0)]
+
+
+def test_a_summary_with_a_name_that_is_no_text_is_written(tmp_path):
+    write_json(tmp_path / "summary.json", {"runs_deleted": [os.fsdecode(b"20260101T000000Z-caf\xe9")]})
+    assert json.loads((tmp_path / "summary.json").read_text()) == {"runs_deleted": ["20260101T000000Z-caf?"]}

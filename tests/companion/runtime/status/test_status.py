@@ -79,6 +79,21 @@ def test_whoever_asks_is_told(server):
     stop()
 
 
+def test_a_name_that_is_no_text_does_not_end_the_status(server):
+    """Names of files are bytes. An exception here would end the status for the rest of the flight."""
+    odd = os.fsdecode(b"/media/caf\xe9/runs")
+    server_state = msgspec.structs.replace(STATUS, folder=odd, said=(f"recording to {odd}",))
+    client = connect(server)
+    server.serve(lambda: server_state)
+    client.close()
+    stop = serving(server, server_state)
+    told = ask(server.path)
+    stop()
+    assert told == msgspec.structs.replace(
+        STATUS, folder="/media/caf?/runs", said=("recording to /media/caf?/runs",)
+    )
+
+
 def test_clients_that_do_not_read_die_or_talk_hold_nothing_up(server):
     mute = [connect(server) for _ in range(10)]
     talker = connect(server)

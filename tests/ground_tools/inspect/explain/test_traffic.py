@@ -15,8 +15,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.config import Config, FlightConfig, IdentityConfig
 from companion.event_record import Step
-from companion.events import AdsbVehicle, AuthorityChanged, GnssFix, RemoteIdHeard
+from companion.events import AdsbVehicle, AuthorityChanged, GnssFix, Landed, LandedState, RemoteIdHeard
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
+from ground_tools.inspect.read import nearness
 from ground_tools.inspect.read.nearness import ADSB_STAMP_S
 from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.report import headline, terminal
@@ -121,6 +122,20 @@ def test_an_unknown_height_is_reported(tmp_path):
     assert headline.verdicts(figures)[0].endswith("2 other aircraft in all")
 
 
+def test_of_too_many_aircraft_the_nearest_are_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(nearness, "_MOST", 5)
+    far = [adsb(0.0, 2000.0 + k, 300.0, icao=k) for k in range(9)]
+    near = [adsb(0.0, 20.0, 5.0, icao=0xABCDEF), adsb(0.0, 90.0, 5.0, icao=0xABCDE0)]
+    figures = heard(tmp_path, *far, *near, adsb(0.0, 3000.0, 300.0, icao=0xFFFFFF))
+    (one,) = figures["aircraft"]
+    names = [row["identity"] for row in one["traffic"]]
+    assert names[:2] == ["ABCDEF", "ABCDE0"]
+    assert len(names) == 5
+    assert headline.verdicts(figures)[0].startswith("Nearest other aircraft: ABCDEF")
+    (words,) = [words for words in one["missing"] if "ADS-B" in words]
+    assert words.startswith("7 ADS-B reports are left out")
+
+
 def test_without_own_positions_distances_are_unknown(tmp_path):
     steps = [Step(now_s=float(k), events=(adsb(0.0, 80.0, 10.0),), commands=()) for k in range(5)]
     write(tmp_path, ONE, steps)
@@ -136,6 +151,47 @@ def test_aircraft_of_the_run_are_reported_as_pairs(tmp_path):
     assert [row["of_the_run"] for row in figures["aircraft"][0]["traffic"]] == [True]
     assert "Other aircraft: none was heard beside those of the run" in headline.verdicts(figures)
     assert "Other aircraft that were heard" not in terminal.text(figures)
+
+
+@pytest.mark.parametrize(("recorded_s", "told"), [(6, True), (40, False)])
+def test_an_aircraft_that_came_near_after_its_record_was_cut_off_is_told(tmp_path, recorded_s, told):
+    """TWO crosses the way of ONE, which flies north at 5 m/s, 20 m beside it at 30 s."""
+    towards = [
+        step(float(k), events=(remote_id("TWO", 5.0 * k, 20.0 + 30.0 * abs(30 - k)),)) for k in range(40)
+    ]
+    write(tmp_path, ONE, towards)
+    away = [step(float(k)) for k in range(recorded_s)]
+    write(tmp_path, Config(identity=IdentityConfig(uas_id="TWO")), away)
+    figures = describe(read_run(tmp_path))
+    (row,) = figures["aircraft"][0]["traffic"]
+    assert (row["of_the_run"], row["beyond_record"]) == (True, told)
+    line = next(line for line in headline.verdicts(figures) if "ther aircraft" in line)
+    assert line.startswith("Nearest other aircraft: TWO, 20 m beside ONE") is told
+    assert ("Other aircraft that were heard" in terminal.text(figures)) is told
+
+
+@pytest.mark.parametrize("flies", [True, False])
+def test_who_stands_beside_at_the_start_does_not_hide_who_comes_near_in_flight(tmp_path, flies):
+    steps = []
+    for k in range(60):
+        where = LandedState(landed=Landed.IN_AIR if flies and k >= 10 else Landed.ON_GROUND)
+        beside = remote_id("BESIDE", 5.0 * k, 3.0) if k < 10 else remote_id("BESIDE", 0.0, 800.0)
+        near = remote_id("NEAR", 5.0 * k, 12.0 + 20.0 * abs(40 - k))
+        steps.append(step(float(k), events=(where, beside, near)))
+    write(tmp_path, ONE, steps)
+    line = headline.verdicts(describe(read_run(tmp_path)))[0]
+    assert line.startswith(f"Nearest other aircraft: {'NEAR, 12' if flies else 'BESIDE, 3'} m beside ONE")
+
+
+def test_an_aircraft_that_is_heard_after_both_have_landed_came_not_near(tmp_path):
+    landed = LandedState(landed=Landed.ON_GROUND)
+    steps = [step(float(k)) for k in range(10)]
+    steps += [step(float(k), events=(landed, remote_id("TWO", 5.0 * k, 3.0))) for k in range(10, 20)]
+    write(tmp_path, ONE, steps)
+    write(tmp_path, Config(identity=IdentityConfig(uas_id="TWO")), [step(float(k)) for k in range(9)])
+    (row,) = describe(read_run(tmp_path))["aircraft"][0]["traffic"]
+    assert row["nearest"]["slant_m"] == pytest.approx(3.0, abs=0.5)
+    assert not row["beyond_record"]
 
 
 def frame_of(mav, message, boot_s):
@@ -249,7 +305,14 @@ def test_an_aircraft_that_avoided_another_is_not_reported_as_passive(tmp_path):
 )
 def test_the_nearer_of_a_predicted_and_a_reported_approach_is_told(predicted_m, words):
     nearest = {"slant_m": 40.0, "aside_m": 40.0, "above_m": None, "barometric": False, "time_s": 2.0}
-    heard = {"identity": "SEEN", "callsign": "", "of_the_run": False, "by": "wifi", "nearest": nearest}
+    heard = {
+        "identity": "SEEN",
+        "callsign": "",
+        "of_the_run": False,
+        "beyond_record": False,
+        "by": "wifi",
+        "nearest": nearest,
+    }
     conflict = {"pair": ("ONE", "LAW"), "by": "prediction", "minimum_m": predicted_m, "time_s": 1.0}
     figures = {"aircraft": [{"name": "ONE", "traffic": [heard]}], "conflicts": [conflict]}
     assert headline._on_traffic(figures).startswith(f"Nearest other aircraft: {words}")

@@ -3,6 +3,7 @@
 import json
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -203,3 +204,7 @@ def test_what_cannot_be_written_is_one_clear_line(tmp_path: Path, flight):
     (tmp_path / "bag").mkdir()
     with pytest.raises(ConfigError, match="it exists already"):
         rosbag.write(*flight, tmp_path / "bag")
+    year_2042 = replace(flight[1], utc_at_zero_s=2.3e9)
+    with pytest.raises(ConfigError, match="the last time that ROS 2 can write"):
+        rosbag.write(flight[0], year_2042, flight[2], tmp_path / "late")
+    assert not (tmp_path / "late").exists()

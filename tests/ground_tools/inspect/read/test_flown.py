@@ -172,6 +172,27 @@ def test_positions_inside_a_gap_are_unknown(tmp_path: Path, made: SimpleNamespac
     assert pair.minimum_m > 30.0
 
 
+@pytest.mark.parametrize("silent_s", [1.0, 700.0, 5000.0, 1.7e9])
+def test_a_silence_of_years_is_one_step(silent_s: float) -> None:
+    """The clock of a computer without a battery may jump from 1970 to today in flight."""
+    time = np.concatenate([np.arange(0.0, 50.0, 0.5), 50.0 + silent_s + np.arange(0.0, 50.0, 0.5)])
+    north = np.linspace(-200.0, 200.0, len(time))
+    still = np.zeros(len(time))
+    one = flown_module.Path("one", time, np.column_stack([north, still, still]), 5.0)
+    # The other stands 7 m beside its way, at a place that it passes after the silence.
+    other = flown_module.Path("other", time, np.column_stack([still + 100.0, still + 7.0, still]), 5.0)
+    parts = list(flown_module._relative(one, other))
+    assert len(parts) <= 5
+    (pair,) = separations((one, other))
+    assert pair.minimum_m == pytest.approx(7.0, abs=1e-6)
+    assert pair.minimum_time_s == pytest.approx(np.interp(100.0, north, time), abs=1e-3)
+    assert (np.diff(pair.time_s) > 0.0).all()
+    if silent_s > flown_module.MAX_GAP_S:
+        inside = (pair.time_s > 49.5) & (pair.time_s < 50.0 + silent_s)
+        assert inside.any(), "the line is broken there"
+        assert np.isnan(pair.distance_m[inside]).all()
+
+
 def test_aircraft_never_in_the_air_together_have_no_separation(tmp_path: Path, made: SimpleNamespace) -> None:
     found = made.steps(made.northbound, made.eastbound(0.0))
     made.write_events(tmp_path, "a", [s for s in found if s.now_s < 20.0])

@@ -24,6 +24,7 @@ from ground_tools.inspect.read.read_run import AircraftRecord, Run, read_run
 from ground_tools.inspect.read.timeline import together
 from ground_tools.inspect.report.summary import describe, text
 from tests.support import onboard_logs as logs
+from tests.support.dataflash_writer import DataFlashWriter
 
 REAL = "DMUCA_LOGS"
 MADE = {
@@ -291,3 +292,57 @@ def test_a_file_of_another_kind_is_one_clear_line(tmp_path: Path, content: bytes
         read_run(path)
     assert str(path) in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+def in_the_air(path: Path, north_mps: float) -> Path:
+    """The log of a copter that was already armed and flying when it began, towards or away from `PLACE`."""
+    log = DataFlashWriter()
+    log.define("MODE", "QMBB", "TimeUS,Mode,ModeNum,Rsn", "F---")
+    log.define("POS", "QLLfff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt", "FGG000")
+    gps = "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,U"
+    log.define("GPS", "QBBIHBcLLeffffB", gps, "F--C-0BGGB000--")
+    log.write("MODE", 1_000, 4, 4, 1)
+    for tick in range(200):
+        t, us = tick / 10, tick * 100_000 + 2_000
+        ms, week = logs.gps_time(us / 1e6)
+        lat = logs.PLACE[0] + north_mps * (t - 10.0) / 111_178.0
+        course = 0.0 if north_mps > 0.0 else 180.0
+        place = lat, logs.PLACE[1], logs.ALT_M
+        log.write("GPS", us, 0, 3, ms, week, 14, 0.8, *place, abs(north_mps), course, 0.0, 0.0, 1)
+        log.write("POS", us, *place, 50.0, 50.0)
+    return log.save(path)
+
+
+def test_a_log_that_begins_in_the_air_is_a_flight(tmp_path: Path):
+    """ArduPilot logs only changes of the arming, so no message of such a log says that it is armed."""
+    runs = [read_run(in_the_air(tmp_path / f"{name}.bin", v)) for name, v in (("there", 8.0), ("back", -8.0))]
+    figures = describe(together(runs))
+    (row,) = figures["separations"]
+    assert row["minimum_m"] == pytest.approx(0.0, abs=0.5)
+    assert row["minimum_time_s"] == pytest.approx(10.0, abs=0.1)
+    assert row["kept"] is False
+    for one in figures["aircraft"]:
+        assert one["flight"]["armed_s"] is None
+        assert any("no arming" in words for words in one["missing"])
+
+
+def test_a_log_of_an_aircraft_that_stood_is_no_flight(tmp_path: Path):
+    runs = [read_run(in_the_air(tmp_path / f"{name}.bin", 0.0)) for name in ("one", "other")]
+    figures = describe(together(runs))
+    assert figures["separations"][0]["minimum_m"] is None
+    assert [one["flight"]["armed_s"] for one in figures["aircraft"]] == [0.0, 0.0]
+
+
+def test_a_log_of_a_folder_that_is_none_is_told(tmp_path: Path):
+    """A file whose name ends in .bin may be anything; one that ends in .ulg was a log."""
+    run_of_one = read_run(logs.px4(tmp_path / "a.ulg"))
+    (tmp_path / "b.ulg").write_bytes(b"")
+    (tmp_path / "c.ulg").write_bytes(b"\0" * 100)
+    (tmp_path / "model.bin").write_bytes(b"weights")
+    run = read_run(tmp_path)
+    assert len(run.aircraft) == 1
+    assert run.problems == (
+        *run_of_one.problems,
+        "b.ulg: no ULog file: it is empty",
+        "c.ulg: no ULog file: it begins with 00 00 00 00 00 00 00 00",
+    )

@@ -27,6 +27,7 @@ from ground_tools.inspect.read import read_tlog
 from ground_tools.inspect.read.flown import flown
 from ground_tools.inspect.read.modes import mode_name
 from ground_tools.inspect.read.read_run import AircraftRecord, Run, read_run
+from ground_tools.inspect.report import headline
 from ground_tools.inspect.report.summary import describe, text
 
 THINNED = Path(__file__).parents[3] / "data"
@@ -248,6 +249,69 @@ def test_time_does_not_decrease_when_a_clock_is_set_back(tmp_path: Path) -> None
     # Of the two positions at 2.0 s the last one counts.
     assert times.tolist() == pytest.approx([0.0, 1.0, 2.0, 3.0, 4.0])
     assert "its clock was set back 1 times" in run.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("index", "bit"),
+    # A few seconds after the first record, or before the last, may be a silence.
+    [(n, bit) for n in (0, 1, 25, 58, 59) for bit in (22, 36, 50) if bit > 22 or 0 < n < 59],
+)
+def test_one_wrong_bit_in_a_time_stamp_moves_nothing(tmp_path: Path, index: int, bit: int) -> None:
+    """A time stamp has no checksum. The bits stand for 4 s, 19 hours and 36 years."""
+    one = MavlinkWriter(1, 1)
+    records = [(t, one.pack(m)) for t in range(30) for m in (beat(2, 3), place(t, 47.0))]
+    path = log(tmp_path / "flipped.tlog", records)
+    whole = read_run(path).aircraft[0].facts
+    data = bytearray(path.read_bytes())
+    at = sum(8 + len(raw) for _, raw in records[:index])
+    data[at + 7 - bit // 8] ^= 1 << bit % 8
+    path.write_bytes(data)
+    run = read_run(path)
+    facts = run.aircraft[0].facts
+    assert (facts.start_s, facts.end_s) == pytest.approx((whole.start_s, whole.end_s), abs=1.01)
+    assert facts.fixes[:, 0].tolist() == pytest.approx(whole.fixes[:, 0].tolist(), abs=1.01)
+    assert run.problems == (
+        "flipped.tlog: 1 records have a damaged time stamp; that of a neighbour is used instead",
+    )
+
+
+def test_a_clock_that_is_set_forward_moves_the_rest(tmp_path: Path) -> None:
+    one = MavlinkWriter(1, 1)
+    stamps = [0.0, 1.0, 2.0, 7202.0, 7203.0]
+    records = [(t, one.pack(m)) for n, t in enumerate(stamps) for m in (beat(2, 3), place(n, 47.0))]
+    run = read_run(log(tmp_path / "ntp.tlog", records))
+    assert (run.aircraft[0].facts.fixes[:, 0] - UTC_S).tolist() == pytest.approx(stamps)
+    assert run.problems == ()
+
+
+def with_utc(path: Path, offsets: dict[int, float], jump_s: float = 0.0) -> Run:
+    """Vehicles by their system ids, and by how much their UTC is off; after 40 of 60 s the log's clock is set
+    forward by `jump_s`."""
+    records = []
+    for system, off_s in offsets.items():
+        one = MavlinkWriter(system, 1)
+        for t in range(60):
+            now = mavlink.MAVLink_system_time_message(round((UTC_S + t + off_s) * 1e6), 1000 * t)
+            stamp = t + (jump_s if t >= 40 else 0.0)
+            records += [(stamp, one.pack(m)) for m in (beat(2, 3), now, place(t, 47.0 + 1e-4 * system))]
+    return read_run(log(path, sorted(records, key=lambda record: record[0])))
+
+
+@pytest.mark.parametrize(("jump_s", "told"), [(0.0, False), (3600.0, True)])
+def test_a_clock_that_is_set_forward_in_flight_is_told(tmp_path: Path, jump_s: float, told: bool) -> None:
+    figures = describe(with_utc(tmp_path / "pi.tlog", {1: 0.0, 2: 0.0}, jump_s))
+    first = headline.verdicts(figures)[0]
+    assert first.startswith("Separation")
+    assert first.endswith("not certain, because the clock of pi 1 was set by 3600 s") is told
+    assert any("was set by about 3600 s" in words for words in figures["problems"]) is told
+
+
+def test_vehicles_that_disagree_about_utc_are_told(tmp_path: Path) -> None:
+    """The median of two is the UTC of neither."""
+    run = with_utc(tmp_path / "field.tlog", {1: 0.4, 2: -7e7})
+    assert [one.facts.utc_offset_s for one in run.aircraft] == pytest.approx([0.4, 0.4])
+    assert "report UTCs 70000000 s apart" in run.problems[0]
+    assert with_utc(tmp_path / "fine.tlog", {1: 0.4, 2: 0.6}).problems == ()
 
 
 def test_numbers_that_are_missing_and_silences_are_counted(tmp_path: Path) -> None:

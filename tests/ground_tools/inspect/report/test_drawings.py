@@ -101,6 +101,28 @@ def test_a_thinned_line_keeps_its_gaps_and_peaks(monkeypatch):
     assert np.nanmax(shown) == time[-1]
 
 
+@pytest.mark.parametrize("count", [1203, 2401, 6004])
+@pytest.mark.parametrize("index", [0, 700, -2, -1])
+def test_the_least_separation_is_drawn_wherever_it_is(count, index):
+    """Also if it is the last sample, as when a recording ends in a collision."""
+    time, values = np.arange(float(count)), np.full(count, 100.0)
+    values[index] = 1.0
+    shown, kept = plots.lowest(time, values)
+    assert len(shown) <= 1.5 * plots.MOST_POINTS
+    assert shown[kept == 1.0].tolist() == [time[index]]
+
+
+def test_a_long_flight_is_drawn_with_its_greatest_height(tmp_path, drawn):
+    heights = np.full(5 * plots.MOST_POINTS, 50.0)
+    heights[1002:1004], heights[2503] = 75.0, 30.0
+    run = run_of(tmp_path, [at(k / 5, height) for k, height in enumerate(heights.tolist())])
+    plots.heights(run, flown(run))
+    line = drawn[0].axes[0].lines[0].get_ydata()
+    assert (np.nanmax(line), np.nanmin(line)) == (75.0, 30.0)
+    low, high = drawn[0].axes[0].get_ylim()
+    assert low < 30.0 < 75.0 < high
+
+
 def test_the_usual_interval_of_rare_positions_is_no_gap():
     time = np.arange(0.0, 100.0, 5.0)
     assert not np.isnan(plots.open_at_gaps(time, time)[0]).any()
