@@ -15,10 +15,10 @@ import signal
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
-from companion.adjustable_parameters import differences
 from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.tlog import TlogWriter
 from companion.avoidance.path import check_path
@@ -52,7 +52,8 @@ from companion.runtime.status.flight_report import FlightReport, LoopCounts
 from companion.runtime.status.service_manager import Notifier
 from companion.runtime.status.status_socket import Status, StatusServer
 from companion.runtime.status.troubles import Trouble, Troubles
-from companion.runtime.stored_parameters import KeptSettings, read_settings
+from companion.runtime.stored_parameters import KeptSettings, usable_settings
+from companion.runtime.waited_frames import WaitedFrames
 from companion.runtime.warm import warm_up
 from companion.runtime.watchdog import Watchdog
 from companion.system import CompanionSystem
@@ -66,9 +67,6 @@ _LOOK_S = 0.1
 _LET_GO_S = 2.0
 _ARMED_S = 3.0
 """Time in which an armed vehicle must be heard if a radio cannot be used. Heartbeats come once a second."""
-_PAUSED_S, _DISCARD_S = 1.0, 0.25
-"""After a pause of `_PAUSED_S` in reading the radios, Remote ID frames are discarded for `_DISCARD_S`: they
-waited for an unknown time, some of them in the kernel or a radio's own thread."""
 _COLLECT_S = 1.0
 """Period of the garbage collection, which runs right after a tick."""
 _LINES_KEPT = 8
@@ -87,8 +85,7 @@ class Flight:
         self._stalls = 0
         self._read_s: float | None = None
         """Start time of the last read that emptied the autopilot's input; None if it was not emptied."""
-        self._heard_s = self._discard_until_s = -math.inf
-        """When the radios were last read, and until when their frames are discarded."""
+        self._waited = WaitedFrames()
         self._refused = Refusals()
         self._lateness = Lateness()
         began_s = clock.now_s()
@@ -110,7 +107,8 @@ class Flight:
             self._say(line)
         self._open(config, dry_run=dry_run)
         self._policy = self._read_policy(config)
-        settings = self._read_settings(config)
+        unread = partial(self._troubles.note, Trouble.SETTINGS_UNREAD)
+        settings = usable_settings(config, self._say, unread)
         self._kept_settings = KeptSettings(config, settings)
         self._run = RunRecord(self._say)
         self.onboard = self._system(config, settings, dry_run=dry_run)
@@ -218,17 +216,6 @@ class Flight:
         except ConfigError as error:
             self._say(str(error))
             return None
-
-    def _read_settings(self, config: Config) -> Settings:
-        try:
-            settings = read_settings(config)
-        except ConfigError as error:
-            text = f"settings: {error}; the stored settings are not used, the configuration applies"
-            self._troubles.note(Trouble.SETTINGS_UNREAD, text)
-            return Settings()
-        for text in differences(config, Settings(), settings):
-            self._say(f"settings: {text}")
-        return settings
 
     # ------------------------------------------------------------ phases
 
@@ -346,11 +333,9 @@ class Flight:
         self._take_in()
         now_s = clock.now_s()
         read_s = -math.inf if self._read_s is None else self._read_s
-        if now_s - self._heard_s > _PAUSED_S:
-            self._discard_until_s = now_s + _DISCARD_S
-        self._heard_s = now_s
+        discards = self._waited.discards(now_s)
         for event in self.radio.events(now_s):
-            if now_s >= self._discard_until_s or not isinstance(event, RemoteIdHeard):
+            if not (discards and isinstance(event, RemoteIdHeard)):
                 self.onboard.hear(event)
         broadcasts = self.onboard.tick(now_s, read_s=read_s)
         self._kept_settings.keep(self.onboard.settings)

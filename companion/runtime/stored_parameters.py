@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 
-from companion.adjustable_parameters import checked
+from companion.adjustable_parameters import checked, differences
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.events import Settings
@@ -43,6 +44,23 @@ def read_settings(config: Config) -> Settings:
         return checked(stored, config)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
+
+
+def usable_settings(config: Config, say: Callable[[str], None], unread: Callable[[str], None]) -> Settings:
+    """The stored settings; those of the configuration if the file cannot be used.
+
+    Args:
+        say: receives a line for each setting that differs from the configuration.
+        unread: receives the reason why the file cannot be used.
+    """
+    try:
+        settings = read_settings(config)
+    except ConfigError as error:
+        unread(f"settings: {error}; the stored settings are not used, the configuration applies")
+        return Settings()
+    for text in differences(config, Settings(), settings):
+        say(f"settings: {text}")
+    return settings
 
 
 class KeptSettings:

@@ -20,6 +20,7 @@ from companion.remote_id.messages import Location
 from companion.runtime import clock
 from companion.runtime.flight import Flight
 from companion.runtime.links.byte_link import Received
+from companion.runtime.waited_frames import WaitedFrames
 from tests.companion.runtime.flying import (
     Autopilot,
     configured,
@@ -318,7 +319,7 @@ class Loop:
             onboard=self, link=self, radio=self, _kept_settings=self, _server=None, _say=lambda _line: None
         )
         vars(self.flight).update(_ticks=0, _stalls=0, _status_s=math.inf, _read_s=None)
-        vars(self.flight).update(_heard_s=-math.inf, _discard_until_s=-math.inf)
+        vars(self.flight).update(_waited=WaitedFrames())
 
     def tick_after(self, passed_s, *events):
         """The events that are taken from the radio after a pause."""
