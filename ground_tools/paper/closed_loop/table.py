@@ -87,8 +87,9 @@ def number(rows: Sequence[Row], measure: Measure) -> Number:
         return Number(None, None)
     values = _by_run(rows, measure)
     value = float(measure.statistic(np.concatenate(values)))
-    if measure is LOST and len(values) == len(rows):
-        return Number(value, wilson(round(value * len(rows)), len(rows)))
+    if measure is LOST and (len(values) == len(rows) or value in (0.0, 1.0)):
+        # A bootstrap of equal values has no width. The share of the encounters is bounded by that of the runs.
+        return Number(value, wilson(round(value * len(values)), len(values)))
     return Number(value, bootstrap(values, measure.statistic))
 
 
@@ -103,6 +104,9 @@ def difference(first: Sequence[Row], second: Sequence[Row], measure: Measure) ->
     values = [np.array(run) for run in runs.values()]
     if not values:
         return Number(None, None)
+    if measure is LOST and not any(run.any() for run in values):
+        most = wilson(0, len(values))[1]
+        return Number(0.0, (-most, most))
     return Number(float(_mean(np.concatenate(values))), bootstrap(values, _mean))
 
 
