@@ -88,7 +88,7 @@ def number(rows: Sequence[Row], measure: Measure) -> Number:
     values = _by_run(rows, measure)
     value = float(measure.statistic(np.concatenate(values)))
     if measure is LOST and (len(values) == len(rows) or value in (0.0, 1.0)):
-        # A bootstrap of equal values has no width. The share of the encounters is bounded by that of the runs.
+        # A bootstrap of equal values has no width. The share of the runs bounds that of the encounters.
         return Number(value, wilson(round(value * len(values)), len(values)))
     return Number(value, bootstrap(values, measure.statistic))
 

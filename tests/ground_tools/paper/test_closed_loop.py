@@ -96,6 +96,10 @@ def test_numbers_of_a_cell_by_hand():
     assert lost.interval == pytest.approx(wilson(1, 11))
     assert lost.words(1, 100.0) == "9.1 (1.6 to 37.7)"
     assert number([row(1, age=None)], BY_KEY["age_mean_s"]).value is None
+    # Twelve encounters share each of two airs. No loss at all leaves open what two runs leave open.
+    shared = [row(n, run=n // 12, separation=20.0) for n in range(24)]
+    assert number(shared, LOST).interval == pytest.approx(wilson(0, 2))
+    assert difference(shared, shared, LOST).interval == pytest.approx((-wilson(0, 2)[1], wilson(0, 2)[1]))
     one_air = [row(n, run=0) for n in range(3)]
     assert number(one_air, BY_KEY["age_mean_s"]).interval is None
 
