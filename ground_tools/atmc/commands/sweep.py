@@ -87,13 +87,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools atmc sweep`."""
     parser.description = (
         "Train MADQN-ATMC, MADDPG and IAC with six settings each (reward, discount, entropy, rates), all\n"
-        "with the same number of episodes, and print a table of their delays at the end."
+        "with the same number of episodes, and print a table of their delays at the end. With --winners the\n"
+        "best settings of each are trained anew with other seeds, which had no part in the choice."
     )
-    parser.epilog = "example: ground-tools atmc sweep --algorithms iac --episodes 400 --out sweep.jsonl"
+    parser.epilog = "example: ground-tools atmc sweep --algorithms iac --winners 1-5 --out sweep.jsonl"
     kept_runs.add_options(parser, CONFIGURATIONS, seeds="101-101", kept=KEPT)
     parser.add_argument(
         "--episodes", type=int, default=400, metavar="N",
         help=f"episodes of each run, a multiple of {VALIDATE_EVERY} (default: 400)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--winners", metavar="A-B",
+        help="seeds with which the best settings of each algorithm are trained anew (default: none)",
     )  # fmt: skip
 
 
@@ -104,6 +109,11 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: An option is wrong, PyTorch is missing, or the file cannot be used.
     """
     seeds = seed_range(args.seeds)
+    others = range(0) if args.winners is None else seed_range(args.winners, "--winners")
+    if set(others) & set(seeds):
+        raise ConfigError(
+            f"--winners: {args.winners} has seeds of --seeds; allowed: seeds that chose nothing"
+        )
     if args.episodes < VALIDATE_EVERY or args.episodes % VALIDATE_EVERY:
         raise ConfigError(
             f"--episodes: {args.episodes} is not allowed; allowed: multiples of {VALIDATE_EVERY}"
@@ -111,15 +121,38 @@ def run(args: argparse.Namespace) -> int:
     processes = processes_of(args.processes)
     set_up_torch()
     kept = Kept(args.out, {"task": "paper", "episodes": args.episodes}, Row, _number)
-    wanted = {
-        _key(name, configuration, seed): (name, configuration, seed, args.episodes)
-        for seed in seeds
-        for name in args.algorithms
-        for configuration in range(len(CONFIGURATIONS[name]))
-    }
-    kept_runs.train_missing(kept, wanted, train, processes)
+    everything = [(name, number) for name in args.algorithms for number in range(len(CONFIGURATIONS[name]))]
+    _train_missing(kept, everything, seeds, args.episodes, processes)
+    if others:
+        best = [(name, winner(kept.rows.values(), name, seeds)) for name in args.algorithms]
+        _train_missing(kept, best, others, args.episodes, processes)
     kept_runs.show(table(kept.rows.values()), _drawn, as_json=args.json)
     return 0
+
+
+def _train_missing(
+    kept: Kept[Row],
+    configurations: Iterable[tuple[Algorithm, int]],
+    seeds: range,
+    episodes: int,
+    processes: int,
+) -> None:
+    """Train each configuration with each seed, unless the file has that run."""
+    wanted = {
+        _key(name, number, seed): (name, number, seed, episodes)
+        for seed in seeds
+        for name, number in configurations
+    }
+    kept_runs.train_missing(kept, wanted, train, processes)
+
+
+def winner(rows: Iterable[Row], algorithm: Algorithm, seeds: range) -> int:
+    """Index of the configuration of an algorithm with the least mean delay at the end, over these seeds."""
+    delays_ms: dict[int, list[float]] = {}
+    for row in rows:
+        if row.algorithm == algorithm and row.seed in seeds:
+            delays_ms.setdefault(row.configuration, []).append(row.delay_ms)
+    return min(delays_ms, key=lambda number: sum(delays_ms[number]) / len(delays_ms[number]))
 
 
 def train(one: tuple[Algorithm, int, int, int]) -> Row:

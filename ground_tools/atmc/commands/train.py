@@ -141,8 +141,11 @@ def _seeds(seed: int | None, seeds: str | None) -> Sequence[int]:
     return [seed]
 
 
-def seed_range(text: str) -> range:
+def seed_range(text: str, option: str = "--seeds") -> range:
     """The seeds of an option such as `--seeds 1-5`.
+
+    Args:
+        option: name of the option, for the error.
 
     Raises:
         ConfigError: the text is not a rising range of at most 1,000 seeds.
@@ -150,7 +153,7 @@ def seed_range(text: str) -> range:
     span = re.fullmatch(r"([0-9]{1,9})-([0-9]{1,9})", text)
     if span is None or not 0 <= int(span[2]) - int(span[1]) < _MAX_SEEDS:
         raise ConfigError(
-            f"--seeds: {text} is not allowed; "
+            f"{option}: {text} is not allowed; "
             f"allowed: a rising range of at most {_MAX_SEEDS:,} seeds, such as 1-5"
         )
     return range(int(span[1]), int(span[2]) + 1)

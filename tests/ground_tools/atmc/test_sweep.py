@@ -69,6 +69,8 @@ def test_runs_are_kept_and_not_trained_again(tmp_path, capsys, monkeypatch):
     [
         (("--episodes", "5"), "--episodes: 5 is not allowed; allowed: multiples of 10"),
         (("--seeds", "x"), "--seeds: x is not allowed"),
+        (("--winners", "x"), "--winners: x is not allowed"),
+        (("--winners", "99-101"), "--winners: 99-101 has seeds of --seeds"),
         (("--processes", "0"), "--processes: 0 is out of range"),
     ],
 )
@@ -118,6 +120,29 @@ def test_the_table_says_which_settings_are_the_default(tmp_path, capsys):
     said = " ".join(capsys.readouterr().out.split())
     assert "IAC default 101 1,000 0.0" in said
     assert "IAC reward log, discount 0.0 101 1,001 0.0" in said
+
+
+def test_the_best_settings_are_trained_with_seeds_that_did_not_choose_them(tmp_path, capsys, monkeypatch):
+    trained = []
+
+    def train_one(one):
+        trained.append(one)
+        algorithm, number, seed, episodes = one
+        delay_ms = {0: 1200.0, 1: 1000.0, 2: 1100.0}[number] + (500.0 if seed < 100 and number == 1 else 0.0)
+        found = row(algorithm, number, ((episodes, delay_ms),))
+        return msgspec.structs.replace(found, seed=seed)
+
+    monkeypatch.setitem(CONFIGURATIONS, "iac", CONFIGURATIONS["iac"][:3])
+    monkeypatch.setitem(CONFIGURATIONS, "maddpg", CONFIGURATIONS["maddpg"][:3])
+    monkeypatch.setattr(kept_runs, "in_parallel", lambda _, items, *__: [(n, train_one(n)) for n in items])
+    out = tmp_path / "sweep.jsonl"
+    command = ["atmc", "sweep", "--algorithms", "iac", "maddpg", "--episodes", "10", "--winners", "1-2"]
+    for _ in range(2):  # the second time everything is kept, and the choice is the same
+        assert cli.main([*command, "--json", "--out", str(out)]) == 0
+        assert len(json.loads(capsys.readouterr().out)) == 10
+        assert [one[:3] for one in trained[6:]] == [
+            ("iac", 1, 1), ("maddpg", 1, 1), ("iac", 1, 2), ("maddpg", 1, 2),
+        ]  # fmt: skip
 
 
 @pytest.mark.parametrize("checkout", [True, False])
