@@ -16,6 +16,7 @@ from typing import Final, Literal
 from companion import config as configuration
 from companion.config import EXAMPLE_ID, Config, check_identity
 from companion.errors import ConfigError
+from companion.remote_id.transports import BLE4
 from companion.shipped import names, shipped
 
 _EPILOG: Final = """examples:
@@ -258,6 +259,11 @@ def _text(choices: Choices, path: Path) -> str:
         speed=_line("max_speed_mps = 5.0", speed),
         region=_line(f"region = {_quoted(choices.region)}", "whose law applies: us, eu, jp, none, or a file"),
         transports=_line(f"transports = [{transports}]", "ble4, ble5, wifi (beacon), nan; used together"),
+        # With BLE 4 the best fixed set lost less in simulated cities (docs/city-results.md).
+        policy=_line(
+            'policy = "fixed"' if BLE4 in sent else '# policy = "rule"',
+            'what chooses transports and rates in flight: "fixed", "rule",',
+        ),
         radios="\n\n".join(_radio_table(kind, where) for kind, where in choices.radios),
     )
 
@@ -321,8 +327,8 @@ rate = 2                            # Location messages a second on each transpo
 # operator_id = "FIN87astrdge12k8-xyz"  # EU: full number; the three secret characters are checked, never sent
 
 [atmc]
-# policy = "rule"                   # what chooses transports and rates in flight: "rule", "fixed", "atmc" or
-                                    # a file; without it they stay as configured in [remote_id]
+{policy}
+                                    # "atmc" or a file; without it they stay as configured in [remote_id]
 
 [record]
 # folder = "runs"                   # relative to the folder in which the companion is started

@@ -75,6 +75,11 @@ def test_several_radios_send_on_all_that_they_can(tmp_path):
     assert len(config.radio) == 2
 
 
+@pytest.mark.parametrize(("radio", "policy"), [("hci=user:0", "fixed"), ("wifi=mon0", None), ("null", None)])
+def test_who_can_send_on_ble4_sends_the_best_fixed_set(tmp_path, radio, policy):
+    assert made(tmp_path, "--radio", radio).atmc.policy == policy
+
+
 def test_every_key_behind_a_hash_is_a_key(tmp_path):
     """Without their signs, the keys that are only shown still load."""
     path = tmp_path / "c.toml"
