@@ -171,7 +171,8 @@ def test_flies_through_noise_and_a_cable_that_is_pulled_and_plugged_again(start,
 @pytest.fixture
 def checked(tmp_path, cable, monkeypatch, capsys) -> Callable[..., dict[str, list[dict[str, str]]]]:
     """What `companion check` finds on the cable, by subject."""
-    for name, seconds in (("SETTLE", 1.0), ("MEASURE", 2.5), ("RADIO", 0.1), ("PARAMETERS", 0.1)):
+    monkeypatch.setattr("companion.commands.check_radios._RADIO_S", 0.1)
+    for name, seconds in (("SETTLE", 1.0), ("MEASURE", 2.5), ("PARAMETERS", 0.1)):
         monkeypatch.setattr(f"companion.commands.check._{name}_S", seconds)
 
     def run(**more: str) -> dict[str, list[dict[str, str]]]:

@@ -60,7 +60,8 @@ def test_an_autopilot_that_cannot_be_given_back_by_mode_is_named_by_check_and_ru
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("companion.runtime.flight.warm_up", lambda: 0.0)
-    for name in ("_RADIO_S", "_SETTLE_S", "_MEASURE_S", "_PARAMETERS_S"):
+    monkeypatch.setattr("companion.commands.check_radios._RADIO_S", 0.1)
+    for name in ("_SETTLE_S", "_MEASURE_S", "_PARAMETERS_S"):
         monkeypatch.setattr(f"companion.commands.check.{name}", 0.1)
     config = msgspec.structs.replace(
         make_config(**flight),
