@@ -40,12 +40,13 @@ from sitl_mocks.channel.parameters import load as load_parameters
 
 CHANNEL: Final = "config/channel/standard.toml"
 POLICY: Final = "config/policies/atmc.safetensors"
-SINGLE: Final[dict[str, Action]] = {
+SAME: Final[dict[str, Action]] = {
     BLE4: (10, 0, 0), BLE5: (0, 10, 0), "wifi": (0, 0, 10), "wifi-2": (0, 0, 2), "wifi-1": (0, 0, 1),
+    "both-2": (2, 0, 2),
 }  # fmt: skip
-"""All aircraft on one transport, at the highest rate, or on Wi-Fi with one or two Location messages a second.
-BLE 4 and BLE 5 alone are legal nowhere."""
-TRANSPORTS: Final = (*SINGLE, "fixed", "rule", "policy")
+"""All aircraft on the same transports: one of them at the highest rate, Wi-Fi at a lower one, or BLE 4 and
+Wi-Fi with two Location messages a second on each. BLE 4 and BLE 5 alone are legal nowhere."""
+TRANSPORTS: Final = (*SAME, "fixed", "rule", "policy")
 _BLUETOOTH: Final = 0.35
 """Background load of Bluetooth as a share of that of Wi-Fi: Bluetooth hops. As in `paper closed-loop`."""
 _PERFECT_M: Final = 2500.0
@@ -71,7 +72,7 @@ class City(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """radio: messages by the channel equations. given: messages with `delay_s` and `loss`. perfect: the true
     state of all aircraft within 2.5 km."""
     transports: str = "policy"
-    """One of `TRANSPORTS`: one transport for all, the best fixed legal set, the rule, or the policy."""
+    """One of `TRANSPORTS`: one of `SAME`, the best fixed legal set, the rule, or the policy."""
     region: Literal["none", "us", "eu"] = "none"
     load: Annotated[float, Meta(ge=0, lt=1)] = 0.0
     """Share of time for which foreign transmissions fill the Wi-Fi channel."""
@@ -178,8 +179,8 @@ def chooser_of(city: City, slots: int) -> Chooser:
         ConfigError: `City.transports` is unknown, or no set is legal in the region.
     """
     region, most = region_of(city), TrafficConfig().max_tracks
-    if city.transports in SINGLE:
-        return Fixed(SINGLE[city.transports])
+    if city.transports in SAME:
+        return Fixed(SAME[city.transports])
     if city.transports == "fixed":
         action = fixed(region, (BLE4, BLE5, WIFI_BEACON))
         if action is None:
@@ -195,7 +196,7 @@ def chooser_of(city: City, slots: int) -> Chooser:
 
 def rates_of(city: City) -> set[int]:
     """Rates that may be used, in Location messages per second."""
-    return {rate for action in (*SET_ACTIONS, *FIXED_SETS, *SINGLE.values()) for rate in action if rate}
+    return {rate for action in (*SET_ACTIONS, *FIXED_SETS, *SAME.values()) for rate in action if rate}
 
 
 def flights_for(city: City, avoidance: AvoidanceConfig, seed: int) -> Flights:

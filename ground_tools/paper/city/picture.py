@@ -16,13 +16,13 @@ SHOWN: Final = tuple(measure for measure in MEASURES if measure.panel)
 _ROWS: Final = (len(SHOWN) + 1) // 2
 COLOURS: Final = {
     "ble4": "#56b4e9", "ble5": "#0072b2", "wifi": "#e69f00", "wifi-2": "#a6761d", "wifi-1": "#f0c419",
-    "fixed": "#d55e00", "rule": "#cc79a7",
+    "both-2": "#882255", "fixed": "#d55e00", "rule": "#cc79a7",
     "policy": "#009e73", "ideal": "#999933", "perfect": "#000000", "none": "#8c8c8c",
 }  # fmt: skip
 """Colour of each method."""
-MARKS: Final = dict(zip(METHODS, "ovs<>^DPhX*", strict=True))
+MARKS: Final = dict(zip(METHODS, "ovs<>p^DPhX*", strict=True))
 """Marker of each method."""
-_APART: Final = 0.04
+_APART: Final = 0.03
 """Horizontal offset between methods, in decades of density, so that no interval hides another."""
 
 
