@@ -23,7 +23,7 @@ from ground_tools.inspect.explain.manoeuvres import Manoeuvre
 from ground_tools.inspect.read import flight_figures
 from ground_tools.inspect.read.conditions import wind_figures
 from ground_tools.inspect.read.faults import faults
-from ground_tools.inspect.read.flown import Flown, Path, Separation, closest, flown
+from ground_tools.inspect.read.flown import Path, Separation, closest, flown
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
 from ground_tools.inspect.read.timeline import clock_set_s, time_line
 from ground_tools.inspect.report.terminal import text as text
@@ -55,11 +55,17 @@ def describe(run: Run) -> dict[str, Any]:
     air_rows, air_problems = _air(run.summary)
     done = {record.name: manoeuvres.find(record) for record in run.aircraft}
     offsets = line.offsets_s
-    of_the_run = {_identity(record) for record in run.aircraft}
+    paths = {path.name: path for path in ways.paths} if ways else {}
+    of_the_run: dict[str, list[Path]] = {}
+    for record in run.aircraft:
+        of_the_run.setdefault(_identity(record), []).extend(filter(None, [paths.get(record.name)]))
     aircraft = [
-        _aircraft(record, done[record.name], offsets[record.name], of_the_run) for record in run.aircraft
+        {
+            **_aircraft(record, done[record.name], offsets[record.name]),
+            "traffic": traffic.heard(record, of_the_run, paths.get(record.name), offsets[record.name]),
+        }
+        for record in run.aircraft
     ]
-    _mark_beyond(run, aircraft, ways)
     return {
         "run": run.name,
         "clock": line.words,
@@ -94,18 +100,6 @@ def _links(run: Run) -> list[str]:
     return [problem for record in run.aircraft if record.link is not None for problem in record.link.problems]
 
 
-def _mark_beyond(run: Run, aircraft: list[dict[str, Any]], ways: Flown | None) -> None:
-    """Mark the aircraft of the run that were heard nearest while their separation is not known."""
-    paths = {path.name: path for path in ways.paths} if ways else {}
-    of: dict[str, list[Path]] = {}
-    for record in run.aircraft:
-        if record.name in paths:
-            of.setdefault(_identity(record), []).append(paths[record.name])
-    for one in aircraft:
-        for row in one["traffic"]:
-            traffic.mark_beyond(row, paths.get(one["name"]), of.get(row["identity"], []))
-
-
 def _cut_off(run: Run, offsets: dict[str, float]) -> list[str]:
     """Report a companion's run without a summary, because a companion writes one when it ends normally."""
     if run.summary is not None or (run.manifest or {}).get("what") != RUN:
@@ -134,9 +128,7 @@ def _air(summary: dict[str, Any] | None) -> tuple[list[dict[str, Any]], list[str
         return [], ["summary.json: air: the format is not that of a run"]
 
 
-def _aircraft(
-    record: AircraftRecord, done: tuple[Manoeuvre, ...], offset_s: float, of_the_run: set[str]
-) -> dict[str, Any]:
+def _aircraft(record: AircraftRecord, done: tuple[Manoeuvre, ...], offset_s: float) -> dict[str, Any]:
     facts = record.facts
     bad, ordinary = faults(record, offset_s)
     authority = [what.state for _, what in facts.rare if isinstance(what, AuthorityChanged)]
@@ -167,7 +159,6 @@ def _aircraft(
         "link": _link(record),
         "faults": bad,
         "ordinary": ordinary,
-        "traffic": traffic.heard(record, of_the_run, offset_s),
         "missing": flight_figures.missing(record),
     }
 
