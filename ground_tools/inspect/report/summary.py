@@ -142,7 +142,7 @@ def _aircraft(record: AircraftRecord, done: tuple[Manoeuvre, ...], offset_s: flo
         "duration_s": facts.duration_s,
         "clock_set_s": clock_set_s(record),
         "broadcasts": sum(len(times) for times in facts.sent.values()),
-        "heard": sum(len(heard.now_s) for heard in facts.heard.values()),
+        "heard": sum(len(heard.now_s) for heard in facts.heard.values()) + facts.heard_left_out,
         "decisions": len(facts.decisions.now_s),
         "conflicts": int(facts.decisions.conflict.sum()),
         "cautions": levels.count(Level.CAUTION),

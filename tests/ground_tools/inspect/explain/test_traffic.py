@@ -18,7 +18,9 @@ from companion.config import Config, FlightConfig, IdentityConfig
 from companion.event_record import Step
 from companion.events import AdsbVehicle, AuthorityChanged, GnssFix, Landed, LandedState, RemoteIdHeard
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
+from ground_tools.inspect.export import tables
 from ground_tools.inspect.read import nearness
+from ground_tools.inspect.read.flown import flown
 from ground_tools.inspect.read.nearness import ADSB_STAMP_S
 from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.report import headline, terminal
@@ -187,6 +189,30 @@ def test_of_too_many_aircraft_the_nearest_are_kept(tmp_path, monkeypatch):
     assert headline.verdicts(figures)[0].startswith("Nearest other aircraft: ABCDEF")
     (words,) = [words for words in one["missing"] if "ADS-B" in words]
     assert words.startswith("7 ADS-B reports are left out")
+
+
+def test_of_too_many_remote_id_addresses_the_nearest_are_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(nearness, "_MOST", 5)
+    far = [remote_id(f"FAR{k}", 0.0, 2000.0 + k) for k in range(9)]
+    near = [remote_id("NEAR", 45.0, 20.0), remote_id("NEXT", 50.0, 90.0)]
+    write(
+        tmp_path,
+        ONE,
+        [step(float(k), events=(event,)) for k, event in enumerate([*far, *near, far[3], near[0]])],
+    )
+    run = read_run(tmp_path)
+    figures = describe(run)
+    (one,) = figures["aircraft"]
+    names = [row["identity"] for row in one["traffic"]]
+    assert names[:2] == ["NEAR", "NEXT"]
+    assert len(names) == len(one["remote_id"]["heard"]) == 5
+    assert one["heard"] == 13
+    (words,) = [words for words in one["missing"] if "frames of Remote ID" in words]
+    assert words.startswith("7 frames of Remote ID are left out: there were more than 5 radio addresses")
+    # What is left out is still in the tables, by its address.
+    blocks = tables.tracks(run, flown(run))
+    heard_names = {name for block in blocks for name in block["name"]}
+    assert {"NEAR", "02:FAR5"} <= heard_names
 
 
 def test_without_own_positions_distances_are_unknown(tmp_path):
