@@ -21,7 +21,9 @@ from companion.events import (
 )
 
 WINDOW_S = 1.0
-"""Messages are written out of order by less than this."""
+"""Messages are written out of order by less than this. A DataFlash stamp that goes back farther is that of a
+vehicle that restarted: the firmware stamps a message when it writes it, or with the sample that it holds.
+Thirteen logs of ArduPilot's simulator (Copter 4.7-dev) have no stamp that goes back at all."""
 JUMP_S = 60.0
 """A time stamp that is farther than this from the last one counts only if the next message confirms it."""
 MOST_WAITING = 20_000
@@ -160,7 +162,8 @@ class TimeOrder:
 
     A log's messages are nearly in order. Those that come too late, because they were known long before they
     were written, get the time of the latest one. A stamp that jumps ahead, or back after a restart of the
-    vehicle, counts if the next message confirms it; otherwise it is a damaged one.
+    vehicle, counts if the next message confirms it. Otherwise it is a damaged one or, if it is back by no
+    more than `JUMP_S`, that of a message that came late.
     """
 
     def __init__(self, about: About, *, may_restart: bool, start_s: float | None = None) -> None:
@@ -178,22 +181,34 @@ class TimeOrder:
         if self._newest is None:
             self._newest = time_s
         ahead_s = time_s - self._newest
-        if ahead_s > JUMP_S or (self._may_restart and ahead_s < -JUMP_S):
-            doubtful, self._doubtful = self._doubtful, (time_s, item)
+        doubtful, self._doubtful = self._doubtful, None
+        if ahead_s > JUMP_S or (self._may_restart and ahead_s < -WINDOW_S):
             if doubtful is None or abs(time_s - doubtful[0]) > JUMP_S:
-                self._about.counts.bad_values += doubtful is not None
+                self._unconfirmed(doubtful)
+                self._doubtful = time_s, item
                 return
             yield from self._jump(doubtful, back=ahead_s < 0.0)
-        elif self._doubtful is not None:
-            self._about.counts.bad_values += 1
-            self._doubtful = None
+        else:
+            self._unconfirmed(doubtful)
         self._push(time_s, item)
         due_s = self._newest + self._shift_s - WINDOW_S
         while self._heap and (self._heap[0][0] < due_s or len(self._heap) > MOST_WAITING):
             yield self._pop()
 
+    def _unconfirmed(self, doubtful: tuple[float, AnyEvent | AnyCommand] | None) -> None:
+        """Take in a message that came late, or count one with a damaged stamp."""
+        if doubtful is None:
+            return
+        assert self._newest is not None
+        if abs(doubtful[0] - self._newest) <= JUMP_S:
+            self._push(*doubtful)
+        else:
+            self._about.counts.bad_values += 1
+
     def rest(self) -> Iterator[Step]:
         """Yield everything that was added."""
+        doubtful, self._doubtful = self._doubtful, None
+        self._unconfirmed(doubtful)
         while self._heap:
             yield self._pop()
 
@@ -206,7 +221,7 @@ class TimeOrder:
         if back:
             self._about.counts.restarts += 1
             self._shift_s = self._last_s - first[0]
-        self._newest, self._doubtful = first[0], None
+        self._newest = first[0]
         self._push(*first)
 
     def _push(self, time_s: float, item: AnyEvent | AnyCommand) -> None:

@@ -145,7 +145,10 @@ class FlightRecorder:
         self._queue: queue.Queue[tuple[int, bytes] | None] = queue.Queue(_QUEUE)
         self._files: tuple[tuple[Path, int], ...] = ()
         self._buffers = (bytearray(), bytearray())
-        self._buffered = len(steps) + bool(tape)
+        self._buffered = [len(steps), int(bool(tape))]
+        """Number of records in each buffer."""
+        self._written = [0, 0]
+        """Number of records that were written to each file."""
         self._error: str | None = None
         self._busy_s: float | None = None
         self._overflowed = 0
@@ -241,9 +244,13 @@ class FlightRecorder:
             # This is a bug, but not in the flight itself. Keep it in `error`, so that it does not pass
             # unseen.
             self._keep(f"{type(error).__name__}: {error}")
-        self._unwritten += self._buffered
-        for _, file in self._files:
+        self._unwritten += sum(self._buffered)
+        for (path, file), written in zip(self._files, self._written, strict=False):
             try:
+                if os.fstat(file).st_nlink == 0:
+                    # A deleted file ceases to exist when it is closed, with everything in it.
+                    self._unwritten += written
+                    self._keep(f"{path}: was deleted")
                 os.close(file)
             except OSError as error:
                 self._keep(str(error))
@@ -287,15 +294,16 @@ class FlightRecorder:
 
     def _take(self, file: int, data: bytes) -> None:
         self._buffers[file].extend(data)
-        self._buffered += 1
+        self._buffered[file] += 1
         if len(self._buffers[file]) >= _BUFFER:
             self._flush()
 
     def _flush(self) -> None:
-        for (_, file), buffer in zip(self._files, self._buffers, strict=True):
+        for number, ((_, file), buffer) in enumerate(zip(self._files, self._buffers, strict=True)):
             write_all(file, buffer)
             buffer.clear()
-        self._buffered = 0
+            self._written[number] += self._buffered[number]
+            self._buffered[number] = 0
 
     def _look(self, floor: DiskFloor) -> None:
         """Raise _StoppedError if too little space is free, because a completely full disk stops more than

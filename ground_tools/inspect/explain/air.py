@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Container
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -102,8 +103,10 @@ class _From:
 
 
 class _Gatherer:
-    def __init__(self, config: Config | None, utc_offset_s: float | None) -> None:
+    def __init__(self, config: Config | None, utc_offset_s: float | None, kept: Container[str]) -> None:
         self.config, self.utc_offset_s = config, utc_offset_s
+        self.kept = kept
+        """Radio addresses whose receptions are counted."""
         self.channel: int | None = None
         self.own: tuple[str, ...] = ()
         self.rates: dict[str, float] | None = None
@@ -119,7 +122,7 @@ class _Gatherer:
         self.end_s = now_s
         match item:
             case RemoteIdHeard():
-                if item.address not in self.own:
+                if item.address not in self.own and item.address in self.kept:
                     utc_s = None if self.utc_offset_s is None else now_s + self.utc_offset_s
                     self.senders.setdefault((item.transport, item.address), _From()).add_frame(
                         item, now_s, utc_s
@@ -168,7 +171,7 @@ def gather(record: AircraftRecord) -> dict[str, Any]:
     This takes at most one pass over the steps.
     """
     config = None if record.header is None else record.header.config
-    found = _Gatherer(config, record.facts.utc_offset_s)
+    found = _Gatherer(config, record.facts.utc_offset_s, record.facts.heard)
     # A log may be gigabytes long and contains only received messages, so skip it if there are none.
     nothing = record.log and not record.facts.heard
     for step in () if nothing else record.steps():

@@ -45,6 +45,8 @@ def write(run: Run, ways: Flown, pairs: list[Separation], path: Path) -> None:
     document = _add(root, "Document")
     _add(document, "name", run.name)
     _add(document, "open", "1")
+    if problems := (*run.problems, *ways.problems):
+        _add(document, "description", "\n".join(problems))
     for index in range(len(ways.paths)):
         style = _add(document, "Style")
         style.set("id", f"aircraft{index}")

@@ -367,8 +367,8 @@ def _places(event: AnyEvent, record: AircraftRecord) -> Iterator[tuple[str, tupl
             if not isinstance(place, Location) or place.lat_deg is None or place.lon_deg is None:
                 continue
             altitude = math.nan if place.alt_geodetic_m is None else place.alt_geodetic_m - undulation_m
-            identities = record.facts.heard[event.address].uas_ids
-            name = identities[0] if identities else event.address
+            sender = record.facts.heard.get(event.address)  # None if it is left out
+            name = sender.uas_ids[0] if sender is not None and sender.uas_ids else event.address
             yield name, (place.lat_deg, place.lon_deg, altitude, *_velocity(place))
 
 

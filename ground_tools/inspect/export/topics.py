@@ -64,7 +64,7 @@ class Words:
     level: str
     """INFO, WARN, ERROR or CRITICAL."""
     name: str
-    """Name of the aircraft."""
+    """Name of the aircraft or, for a problem, of the run."""
     text: str
 
 
@@ -135,7 +135,11 @@ def fixes(run: Run, ways: Flown, topics: Topics) -> Iterator[Fix]:
 
 
 def words(run: Run, ways: Flown) -> Iterator[Words]:
-    """Yield events as texts: modes, arming, authority, alerts, texts, faults; aircraft by aircraft."""
+    """Yield the problems of the run, then events as texts: modes, arming, authority, alerts, texts, faults;
+    aircraft by aircraft."""
+    start_s = min(record.facts.start_s + ways.offsets_s[record.name] for record in run.aircraft)
+    for problem in (*run.problems, *ways.problems):
+        yield Words(start_s, "WARN", run.name, problem)
     for record in run.aircraft:
         config = record.header.config if record.header else None
         offset_s = ways.offsets_s[record.name]

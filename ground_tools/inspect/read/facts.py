@@ -51,11 +51,11 @@ from companion.events import (
     VehicleTime,
 )
 from companion.events.sensed import thing_of
-from companion.geometry import LocalFrame
+from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.messages import BasicId, Location
 from companion.traffic.fix import make_fix
 from ground_tools.inspect.read.conditions import GnssQuality
-from ground_tools.inspect.read.nearness import AdsbTally, Approaches, HeardAdsb
+from ground_tools.inspect.read.nearness import AdsbTally, HeardAdsb, NearestSenders, Sender
 from ground_tools.inspect.read.spill import BLOCK, Spill
 
 _OWN_AGE_S = 2.0
@@ -157,6 +157,8 @@ class Facts:
     """now_s of every broadcast, by transport."""
     heard: dict[str, Heard]
     """Received frames, by radio address."""
+    heard_left_out: int
+    """Number of received frames of further addresses, which were farther away."""
     gnss: GnssQuality
     adsb: dict[str, HeardAdsb]
     """Aircraft heard by ADS-B, by their ICAO addresses."""
@@ -181,6 +183,13 @@ class _Track:
     second: float = -math.inf
 
 
+@dataclass(slots=True)
+class _Frames(Sender):
+    now_s: array[float] = field(default_factory=lambda: array("d"))
+    transports: set[str] = field(default_factory=set)
+    uas_ids: set[str] = field(default_factory=set)
+
+
 class Gatherer:
     """Collects steps one by one; `facts` returns what was collected."""
 
@@ -197,7 +206,7 @@ class Gatherer:
         self.utc = array("d")
         self.undulation = array("d")
         self.sent: dict[str, array[float]] = {}
-        self.heard: dict[str, tuple[array[float], set[str], set[str], Approaches]] = {}
+        self.heard: NearestSenders[str, _Frames] = NearestSenders(_Frames)
         self.gnss = GnssQuality()
         self.adsb = AdsbTally()
         self.frame: LocalFrame | None = None
@@ -260,15 +269,17 @@ class Gatherer:
             self.rare.append((now_s, item))
 
     def _hear(self, now_s: float, event: RemoteIdHeard) -> None:
-        times, transports, names, near = self.heard.setdefault(
-            event.address, (array("d"), set(), set(), Approaches())
-        )
-        times.append(now_s)
-        transports.add(event.transport)
-        names.update(m.uas_id for m in event.messages if isinstance(m, BasicId) and m.uas_id)
-        for message in event.messages:
-            if isinstance(message, Location):
-                self._approach(now_s, message, near)
+        places = [self._away(now_s, message) for message in event.messages if isinstance(message, Location)]
+        known = [place for place in places if place is not None]
+        nearest = min((away_m for away_m, _ in known), key=lambda away_m: math.hypot(*away_m), default=None)
+        one = self.heard.of(event.address, nearest)
+        if one is None:
+            return
+        one.now_s.append(now_s)
+        one.transports.add(event.transport)
+        one.uas_ids.update(m.uas_id for m in event.messages if isinstance(m, BasicId) and m.uas_id)
+        for away_m, vertical_known in known:
+            one.near.add(now_s, away_m, vertical_known=vertical_known)
 
     def _own(self, now_s: float) -> tuple[float, float, float] | None:
         """Own latitude, longitude and altitude above mean sea level; None if it is unknown or old."""
@@ -281,22 +292,23 @@ class Gatherer:
         """Height of the geoid above the ellipsoid, as the autopilot knows it; None while unknown."""
         return self.undulation[-1] if self.undulation else None
 
-    def _approach(self, now_s: float, message: Location, near: Approaches) -> None:
-        """Add a reported position, extrapolated to now, relative to the own one."""
+    def _away(self, now_s: float, message: Location) -> tuple[Vec3, bool] | None:
+        """Return a reported position (NED, m), extrapolated to now, relative to the own one, and whether its
+        height is known; None if one of the positions is unknown."""
         here = self._own(now_s)
         if here is None:
-            return
+            return None
         lat, lon, alt = here
         self.frame = self.frame or LocalFrame(lat, lon, alt)
         utc = self.utc[-1] if self.utc else None
         fix = make_fix(message, now_s, utc, self.frame, self._undulation_m(), _CLOCK_OFF_S)
         if fix is None:
-            return
+            return None
         age = 0.0 if fix.stamp_s is None else max(now_s - fix.stamp_s, 0.0)
         velocity = fix.velocity or (0.0, 0.0, 0.0)
         own = self.frame.to_ned(lat, lon, alt)
         north, east, down = (p + v * age - o for p, v, o in zip(fix.position, velocity, own, strict=True))
-        near.add(now_s, (north, east, down), vertical_known=fix.vertical_known)
+        return (north, east, down if fix.vertical_known else 0.0), fix.vertical_known
 
     def _decide(self, now_s: float, one: Decision) -> None:
         conflict = False
@@ -344,13 +356,14 @@ class Gatherer:
             sent={name: np.asarray(times) for name, times in self.sent.items()},
             heard={
                 address: Heard(
-                    np.asarray(times),
-                    tuple(sorted(transports)),
-                    tuple(sorted(names)),
-                    near.rows(),
+                    np.asarray(one.now_s),
+                    tuple(sorted(one.transports)),
+                    tuple(sorted(one.uas_ids)),
+                    one.near.rows(),
                 )
-                for address, (times, transports, names, near) in self.heard.items()
+                for address, one in self.heard.kept.items()
             },
+            heard_left_out=self.heard.left_out,
             gnss=self.gnss,
             adsb=self.adsb.heard(),
             adsb_left_out=self.adsb.left_out,

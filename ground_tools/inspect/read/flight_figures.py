@@ -132,6 +132,11 @@ def missing(record: AircraftRecord) -> list[str]:
             f"{facts.adsb_left_out} ADS-B reports are left out: there were more than {len(facts.adsb)} "
             "aircraft, and only the nearest are shown"
         )
+    if facts.heard_left_out:
+        found.append(
+            f"{facts.heard_left_out} frames of Remote ID are left out: there were more than "
+            f"{len(facts.heard)} radio addresses, and only the nearest are shown"
+        )
     if record.header is not None and not facts.sent:
         found.append("no Remote ID was sent")
     if record.header is not None and not facts.heard:

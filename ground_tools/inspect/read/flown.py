@@ -99,7 +99,8 @@ class Flown:
     from_path: bool
     """True if time 0 is the start of the timed paths."""
     problems: tuple[str, ...]
-    """Why true positions were found but not used, and possible duplicate recordings, one line each."""
+    """Which paths are placed wrongly in time, why true positions were found but not used, and possible
+    duplicate recordings, one line each."""
     utc_at_zero_s: float | None
     """UTC at time 0 of the common time line; None if unknown."""
 
@@ -133,7 +134,8 @@ def flown(run: Run) -> Flown:
         raise ConfigError(
             f"{run.folder}: no aircraft recorded a position, and the true positions are not used: {problem}"
         )
-    problems: tuple[str, ...] = () if problem is None else (f"the true positions are not used: {problem}",)
+    problems = line.problems
+    problems += () if problem is None else (f"the true positions are not used: {problem}",)
     problems += _twice(own) if run.others else ()
     kind = TRUE if true else OWN
     return Flown(
@@ -167,7 +169,7 @@ def placed(run: Run) -> Flown:
         offsets_s=line.offsets_s,
         clock=line.words,
         from_path=line.from_path,
-        problems=("No aircraft recorded a position, so nothing is drawn in space.",),
+        problems=(*line.problems, "No aircraft recorded a position, so nothing is drawn in space."),
         utc_at_zero_s=line.utc_at_zero_s,
     )
 

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -19,7 +21,8 @@ ADSB_STAMP_S = 0.5
 """Mean error of the age of an ADS-B report, which is whole seconds, rounded down."""
 _COLUMNS = 4
 _MOST = 2000
-"""Most ADS-B addresses kept for one record: the nearest. A log with more of them is damaged or hostile."""
+"""Most addresses of each kind (ADS-B, Remote ID) kept for one record: the nearest. A log with more of them is
+damaged or hostile."""
 
 
 @dataclass(slots=True)
@@ -71,24 +74,79 @@ class HeardAdsb:
 
 
 @dataclass(slots=True)
-class _Adsb:
-    first_s: float
-    callsign: str = ""
+class Sender:
+    """What is collected of one address."""
+
     reports: int = 0
+    near: Approaches = field(default_factory=Approaches)
+
+
+Address = TypeVar("Address", bound=Hashable)
+AnySender = TypeVar("AnySender", bound=Sender)
+
+
+class NearestSenders(Generic[Address, AnySender]):
+    """Senders by their addresses, of which only the nearest are kept."""
+
+    def __init__(self, new: Callable[[], AnySender]) -> None:
+        self.kept: dict[Address, AnySender] = {}
+        self.left_out = 0
+        """Number of reports of senders that were farther away than the `_MOST` that are kept."""
+        self._new = new
+        self._farthest: tuple[float, Address] | None = None
+        """Least distance so far of the farthest kept sender when it was last searched, and its address."""
+
+    def of(self, address: Address, away_m: Vec3 | None) -> AnySender | None:
+        """Return the sender of a report, which is counted; None if the sender is not kept.
+
+        Args:
+            address: its address.
+            away_m: its reported position relative to ours; None if unknown.
+        """
+        if address not in self.kept and len(self.kept) >= _MOST and not self._make_room(away_m):
+            self.left_out += 1
+            return None
+        if (one := self.kept.get(address)) is None:
+            one = self.kept[address] = self._new()
+        one.reports += 1
+        return one
+
+    def _make_room(self, away_m: Vec3 | None) -> bool:
+        """Drop the farthest sender if a new one is nearer; return whether there is room now."""
+        if away_m is None:
+            return False
+        slant_m = math.hypot(*away_m)
+        # A kept sender may only have come nearer since the search, so a new one that is farther than its
+        # distance then needs no new search.
+        if self._farthest is None or slant_m < self._farthest[0]:
+            self._farthest = max(
+                ((one.near.least_m, address) for address, one in self.kept.items()), key=lambda one: one[0]
+            )
+        if slant_m >= self._farthest[0]:
+            return False
+        self.left_out += self.kept.pop(self._farthest[1]).reports
+        self._farthest = None
+        return True
+
+
+@dataclass(slots=True)
+class _Adsb(Sender):
+    first_s: float = math.nan
+    callsign: str = ""
     last_s: float = 0.0
     barometric: bool = False
-    near: Approaches = field(default_factory=Approaches)
 
 
 class AdsbTally:
     """Collects the ADS-B reports of one record."""
 
     def __init__(self) -> None:
-        self.left_out = 0
-        """Number of reports of aircraft that were farther away than the `_MOST` that are kept."""
-        self._heard: dict[int, _Adsb] = {}
-        self._farthest: tuple[float, int] | None = None
-        """Least distance so far of the farthest kept aircraft when it was last searched, and its address."""
+        self._senders: NearestSenders[int, _Adsb] = NearestSenders(_Adsb)
+
+    @property
+    def left_out(self) -> int:
+        """Number of reports of aircraft that are not kept."""
+        return self._senders.left_out
 
     def hear(
         self,
@@ -112,30 +170,14 @@ class AdsbTally:
             if event.alt_geometric and alt_m is not None:
                 alt_m = None if undulation_m is None else alt_m - undulation_m
             away_m = _away(event, own[2] if alt_m is None else alt_m, own)
-        if event.icao not in self._heard and len(self._heard) >= _MOST and not self._make_room(away_m):
-            self.left_out += 1
+        one = self._senders.of(event.icao, away_m)
+        if one is None:
             return
-        one = self._heard.setdefault(event.icao, _Adsb(now_s))
-        one.reports, one.last_s = one.reports + 1, now_s
+        one.first_s, one.last_s = now_s if one.reports == 1 else one.first_s, now_s
         one.callsign = event.callsign.strip() or one.callsign
         one.barometric |= event.alt_m is not None and not event.alt_geometric
         if away_m is not None:
             one.near.add(now_s, away_m, vertical_known=alt_m is not None)
-
-    def _make_room(self, away_m: Vec3 | None) -> bool:
-        """Drop the farthest aircraft if a new one is nearer; return whether there is room now."""
-        if away_m is None:
-            return False
-        slant_m = math.hypot(*away_m)
-        # A kept aircraft may only have come nearer since the search, so a new one that is farther than its
-        # distance then needs no new search.
-        if self._farthest is None or slant_m < self._farthest[0]:
-            self._farthest = max((one.near.least_m, icao) for icao, one in self._heard.items())
-        if slant_m >= self._farthest[0]:
-            return False
-        self.left_out += self._heard.pop(self._farthest[1]).reports
-        self._farthest = None
-        return True
 
     def heard(self) -> dict[str, HeardAdsb]:
         """The received aircraft, by the ICAO address in hexadecimal digits."""
@@ -143,7 +185,7 @@ class AdsbTally:
             f"{icao:06X}": HeardAdsb(
                 one.callsign, one.reports, one.first_s, one.last_s, one.barometric, one.near.rows()
             )
-            for icao, one in self._heard.items()
+            for icao, one in self._senders.kept.items()
         }
 
 

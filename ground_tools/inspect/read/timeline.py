@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ground_tools.inspect.read.facts import UTC_NOISE_S
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
 
 SHARED_CLOCK_S = 0.05
@@ -34,10 +35,32 @@ class TimeLine:
     """Description of the time line."""
     from_path: bool = False
     """True if time 0 is the start of the timed paths."""
+    problems: tuple[str, ...] = ()
+    """Which aircraft are placed wrongly for a part of their records, one line each."""
 
 
 def time_line(run: Run) -> TimeLine:
     """Return the common time line of a run."""
+    return replace(_time_line(run), problems=tuple(map(_clock_set, filter(clock_set_s, run.aircraft))))
+
+
+def clock_set_s(record: AircraftRecord) -> float | None:
+    """Return by how much (s) a clock was set within the record; None if it was not.
+
+    One offset to UTC is then wrong for a part of the record.
+    """
+    return record.facts.utc_off_s if record.facts.utc_off_s > UTC_NOISE_S else None
+
+
+def _clock_set(record: AircraftRecord) -> str:
+    return (
+        f"{record.name}: the clock of its record, or the vehicle's UTC, was set by about "
+        f"{record.facts.utc_off_s:.0f} s; a part of the record is placed wrongly by that on the time line, "
+        "and separations there are not those that were flown"
+    )
+
+
+def _time_line(run: Run) -> TimeLine:
     to_utc = {record.name: record.facts.utc_offset_s for record in run.aircraft}
     known = {name: offset for name, offset in to_utc.items() if offset is not None}
     if len(known) < len(to_utc):

@@ -11,6 +11,8 @@ from ground_tools.inspect.read.timeline import utc_words
 
 _NAMED: Final = 3
 """Most names that a line lists, of kinds of faults or of aircraft that gave way."""
+_FOREIGN: Final = "Identity used by ANOTHER sender, from elsewhere:"
+"""Beginning of the line about foreign senders."""
 
 
 def head(figures: dict[str, Any]) -> str:
@@ -24,12 +26,14 @@ def head(figures: dict[str, Any]) -> str:
 
 
 def verdicts(figures: dict[str, Any]) -> list[str]:
-    """Return the most important results, one line each: separation, the nearest other aircraft, the nearest
-    thing that a sensor aboard saw, Remote ID, manoeuvres, faults."""
+    """Return the most important results, one line each: separation, the nearest other aircraft, foreign
+    senders of an identity of the run, the nearest thing that a sensor aboard saw, Remote ID, manoeuvres,
+    faults."""
     aircraft = figures["aircraft"]
     return [
         *_on_separation(figures),
         _on_traffic(figures),
+        *_on_foreign_senders(aircraft),
         *_on_sensed(figures),
         *_on_remote_id(aircraft),
         _on_manoeuvres(aircraft),
@@ -38,13 +42,22 @@ def verdicts(figures: dict[str, Any]) -> list[str]:
 
 
 def is_bad(words: str) -> bool:
-    """Return whether a line of `verdicts` reports a lost separation or a requirement that was not kept."""
-    return words.startswith("Separation LOST") or (words.startswith("Remote ID") and "NOT kept by" in words)
+    """Return whether a line of `verdicts` reports a lost separation, a requirement that was not kept, or a
+    foreign sender of an identity."""
+    return words.startswith(("Separation LOST", _FOREIGN)) or (
+        words.startswith("Remote ID") and "NOT kept by" in words
+    )
 
 
 def is_other(row: dict[str, Any]) -> bool:
-    """Return whether a received aircraft came nearest at a time for which this run has no record of it."""
-    return not row["of_the_run"] or row["beyond_record"]
+    """Return whether a received aircraft is none of the run, whatever identity it sends, or came nearest at a
+    time for which this run has no record of it."""
+    return not row["of_the_run"] or row["beyond_record"] or row["elsewhere"]
+
+
+def who(row: dict[str, Any]) -> str:
+    """Return the identity of a received aircraft, and whether another sender than that aircraft used it."""
+    return f"{row['identity']}{', sent from elsewhere' if row['elsewhere'] else ''}"
 
 
 def _on_separation(figures: dict[str, Any]) -> list[str]:
@@ -74,7 +87,7 @@ def _on_traffic(figures: dict[str, Any]) -> str:
     cover: how near, when, and how it was received."""
     aircraft = figures["aircraft"]
     others = [(one["name"], row) for one in aircraft for row in one["traffic"] if is_other(row)]
-    count = len({row["identity"] for _, row in others})
+    count = len({who(row) for _, row in others})
     predicted = [
         row for row in figures["conflicts"] if row["by"] != "positions" and not is_sensed(row["pair"][1])
     ]
@@ -90,6 +103,17 @@ def _on_traffic(figures: dict[str, Any]) -> str:
     if count:
         return f"Other aircraft: {count} heard; how near they came is not known"
     return f"Other aircraft: none was heard{'' if len(aircraft) < 2 else ' beside those of the run'}"
+
+
+def _on_foreign_senders(aircraft: Sequence[dict[str, Any]]) -> list[str]:
+    """Line about senders that use an identity of the run from elsewhere, with the nearest one; none if there
+    were none."""
+    found = [(one["name"], row) for one in aircraft for row in one["traffic"] if row["elsewhere"]]
+    if not found:
+        return []
+    name, row = min(found, key=lambda one: one[1]["nearest"]["slant_m"])
+    names = ", ".join(dict.fromkeys(row["identity"] for _, row in found))
+    return [f"{_FOREIGN} {names}; nearest: {_approach(name, row)}"]
 
 
 def _on_sensed(figures: dict[str, Any]) -> list[str]:
@@ -117,7 +141,7 @@ def _approach(name: str, row: dict[str, Any]) -> str:
         height = f" and {abs(nearest['above_m']):.0f} m {way} it"
         height += " by barometric altitude" if nearest["barometric"] else ""
     return (
-        f"{row['identity']}{callsign}, {nearest['aside_m']:.0f} m beside {name}{height} at "
+        f"{who(row)}{callsign}, {nearest['aside_m']:.0f} m beside {name}{height} at "
         f"{nearest['time_s']:.1f} s ({row['by']}, as reported)"
     )
 

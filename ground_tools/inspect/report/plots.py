@@ -91,12 +91,6 @@ def shade(index: int) -> str:
     return hexadecimal(colour(index))
 
 
-def thin(time: Floats, *rows: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """Keep every n-th sample of a line, so that about `MOST_POINTS` remain."""
-    step = max(len(time) // MOST_POINTS, 1)
-    return tuple(row[::step] for row in (time, *rows))
-
-
 def open_at_gaps(time: Floats, *rows: Floats, extreme: bool = False) -> tuple[Floats, ...]:
     """Thin a line, and break it with a row of NaN at each gap in the data.
 
@@ -308,7 +302,10 @@ def ages(run: Run, ways: Flown) -> str | None:
 
 
 def rates(run: Run, ways: Flown) -> str | None:
-    """Plot the broadcasts per second on each transport, over the last `_OVER`; None if there are too few."""
+    """Plot the broadcasts per second on each transport, over the last `_OVER`; None if there are too few.
+
+    In a silence no line is drawn. The lowest rate is not lost.
+    """
     lanes = [
         (record.name, transport, times + ways.offsets_s[record.name])
         for record in run.aircraft
@@ -322,7 +319,8 @@ def rates(run: Run, ways: Flown) -> str | None:
         axes = figure.subplots()
         styles = dict(zip(sorted({t for _, t, _ in lanes}), ("-", "--", ":", "-."), strict=False))
         for index, (name, transport, times) in enumerate(lanes[: 2 * MOST_LINES]):
-            time, rate = thin(times[_OVER:], _OVER / np.maximum(times[_OVER:] - times[:-_OVER], 1e-3))
+            rate = _OVER / np.maximum(times[_OVER:] - times[:-_OVER], 1e-3)
+            time, rate = open_at_gaps(times[_OVER:], rate, extreme=True)
             look = {"color": shade(index), "ls": styles.get(transport, "-")}
             axes.plot(time, rate, label=plain(f"{name} {transport}"), **look)
         axes.set(ylim=(0.0, None), xlabel="time (s)", ylabel="broadcasts per second")

@@ -22,11 +22,10 @@ from ground_tools.inspect.explain import air, manoeuvres, traffic
 from ground_tools.inspect.explain.manoeuvres import Manoeuvre
 from ground_tools.inspect.read import flight_figures
 from ground_tools.inspect.read.conditions import wind_figures
-from ground_tools.inspect.read.facts import UTC_NOISE_S
 from ground_tools.inspect.read.faults import faults
-from ground_tools.inspect.read.flown import Flown, Path, Separation, closest, flown
+from ground_tools.inspect.read.flown import Path, Separation, closest, flown
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
-from ground_tools.inspect.read.timeline import time_line
+from ground_tools.inspect.read.timeline import clock_set_s, time_line
 from ground_tools.inspect.report.terminal import text as text
 
 NEAR = 3.0
@@ -44,6 +43,7 @@ def describe(run: Run) -> dict[str, Any]:
 
     All times are on the common time line that `clock` describes.
     """
+    line = time_line(run)
     ways = None
     pairs: list[Separation] = []
     unknown: tuple[str, ...] = ()
@@ -51,16 +51,21 @@ def describe(run: Run) -> dict[str, Any]:
         ways = flown(run)
         pairs, unknown = closest(ways.paths), ways.problems
     except ConfigError as error:
-        unknown = (str(error),)
-    line = time_line(run)
+        unknown = (*line.problems, str(error))
     air_rows, air_problems = _air(run.summary)
     done = {record.name: manoeuvres.find(record) for record in run.aircraft}
     offsets = line.offsets_s
-    of_the_run = {_identity(record) for record in run.aircraft}
+    paths = {path.name: path for path in ways.paths} if ways else {}
+    of_the_run: dict[str, list[Path]] = {}
+    for record in run.aircraft:
+        of_the_run.setdefault(_identity(record), []).extend(filter(None, [paths.get(record.name)]))
     aircraft = [
-        _aircraft(record, done[record.name], offsets[record.name], of_the_run) for record in run.aircraft
+        {
+            **_aircraft(record, done[record.name], offsets[record.name]),
+            "traffic": traffic.heard(record, of_the_run, paths.get(record.name), offsets[record.name]),
+        }
+        for record in run.aircraft
     ]
-    _mark_beyond(run, aircraft, ways)
     return {
         "run": run.name,
         "clock": line.words,
@@ -83,9 +88,8 @@ def describe(run: Run) -> dict[str, Any]:
         "problems": [
             *run.problems,
             *_cut_off(run, offsets),
-            *_clock_set(run),
-            *_links(run),
             *unknown,
+            *_links(run),
             *air_problems,
         ],
     }
@@ -94,29 +98,6 @@ def describe(run: Run) -> dict[str, Any]:
 def _links(run: Run) -> list[str]:
     """Report damage of the telemetry logs beside event records."""
     return [problem for record in run.aircraft if record.link is not None for problem in record.link.problems]
-
-
-def _clock_set(run: Run) -> list[str]:
-    """Report a clock that was set within a record: one offset to UTC is then wrong for a part of it."""
-    return [
-        f"{record.name}: the clock of its record, or the vehicle's UTC, was set by about "
-        f"{record.facts.utc_off_s:.0f} s; a part of the record is placed wrongly by that on the time line, "
-        "and separations there are not those that were flown"
-        for record in run.aircraft
-        if record.facts.utc_off_s > UTC_NOISE_S
-    ]
-
-
-def _mark_beyond(run: Run, aircraft: list[dict[str, Any]], ways: Flown | None) -> None:
-    """Mark the aircraft of the run that were heard nearest while their separation is not known."""
-    paths = {path.name: path for path in ways.paths} if ways else {}
-    of: dict[str, list[Path]] = {}
-    for record in run.aircraft:
-        if record.name in paths:
-            of.setdefault(_identity(record), []).append(paths[record.name])
-    for one in aircraft:
-        for row in one["traffic"]:
-            traffic.mark_beyond(row, paths.get(one["name"]), of.get(row["identity"], []))
 
 
 def _cut_off(run: Run, offsets: dict[str, float]) -> list[str]:
@@ -147,9 +128,7 @@ def _air(summary: dict[str, Any] | None) -> tuple[list[dict[str, Any]], list[str
         return [], ["summary.json: air: the format is not that of a run"]
 
 
-def _aircraft(
-    record: AircraftRecord, done: tuple[Manoeuvre, ...], offset_s: float, of_the_run: set[str]
-) -> dict[str, Any]:
+def _aircraft(record: AircraftRecord, done: tuple[Manoeuvre, ...], offset_s: float) -> dict[str, Any]:
     facts = record.facts
     bad, ordinary = faults(record, offset_s)
     authority = [what.state for _, what in facts.rare if isinstance(what, AuthorityChanged)]
@@ -161,9 +140,9 @@ def _aircraft(
         "use": None if record.header is None else record.header.config.flight.use,
         "steps": facts.steps,
         "duration_s": facts.duration_s,
-        "clock_set_s": facts.utc_off_s if facts.utc_off_s > UTC_NOISE_S else None,
+        "clock_set_s": clock_set_s(record),
         "broadcasts": sum(len(times) for times in facts.sent.values()),
-        "heard": sum(len(heard.now_s) for heard in facts.heard.values()),
+        "heard": sum(len(heard.now_s) for heard in facts.heard.values()) + facts.heard_left_out,
         "decisions": len(facts.decisions.now_s),
         "conflicts": int(facts.decisions.conflict.sum()),
         "cautions": levels.count(Level.CAUTION),
@@ -180,7 +159,6 @@ def _aircraft(
         "link": _link(record),
         "faults": bad,
         "ordinary": ordinary,
-        "traffic": traffic.heard(record, of_the_run, offset_s),
         "missing": flight_figures.missing(record),
     }
 

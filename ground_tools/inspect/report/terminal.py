@@ -249,7 +249,7 @@ def _traffic(aircraft: Sequence[dict[str, Any]]) -> Rows:
         near = row["nearest"] or {}
         above = number(near.get("above_m"), 0) + (" baro" if near.get("barometric") else "")
         return [
-            f"{row['identity']} {row['callsign']}".strip(),
+            f"{headline.who(row)} {row['callsign']}".strip(),
             row["by"],
             number(row["first_s"]),
             number(row["last_s"]),

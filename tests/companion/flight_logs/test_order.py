@@ -40,6 +40,28 @@ def test_after_a_restart_time_goes_on():
     assert about.counts.restarts == 1
 
 
+def test_every_short_boot_is_a_restart():
+    """Eight boots of 20 s each in one log."""
+    found, about = ordered([float(t) for _ in range(8) for t in range(3, 24)])
+    assert about.counts.restarts == 7
+    assert about.counts.bad_values == 0
+    assert [name for _, name in found] == [str(number) for number in range(8 * 21)]
+    assert found[-1][0] == 3.0 + 8 * 20.0
+
+
+def test_a_single_message_that_comes_late_is_no_restart_and_is_kept():
+    found, about = ordered([100.0, 103.0, 106.0, 71.0, 106.1, 110.0, 72.0])
+    assert [name for _, name in found] == ["0", "1", "3", "2", "4", "6", "5"]
+    assert [time_s for time_s, _ in found] == [100.0, 103.0, 103.0, 106.0, 106.1, 106.1, 110.0]
+    assert about.counts.restarts == about.counts.bad_values == 0
+
+
+def test_a_last_stamp_that_nothing_confirms_is_counted():
+    found, about = ordered([0.0, 1.0, 90_000.0])
+    assert [name for _, name in found] == ["0", "1"]
+    assert about.counts.bad_values == 1
+
+
 def test_after_a_restart_stamps_are_shifted_as_the_steps_are():
     order = TimeOrder(About(), may_restart=True)
     for time_s in (150.0, 200.0, 3.0, 4.0):

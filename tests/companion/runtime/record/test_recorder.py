@@ -245,6 +245,11 @@ def test_a_folder_that_vanishes_is_an_error(tmp_path, header, until, monkeypatch
     folder.mkdir()
     recorder = FlightRecorder(lambda: folder, header, QUICK)
     until(lambda: recorder.recording)
+    for number in range(10):
+        recorder.step(step(float(number)))
+    for _ in range(4):
+        recorder.write(b"frame")
+    until(lambda: (folder / "A.tlog").stat().st_size == 4 * len(b"frame"))
     if replaced:
         (folder / "A.tlog").unlink()
         (folder / "A.tlog").touch()
@@ -254,6 +259,19 @@ def test_a_folder_that_vanishes_is_an_error(tmp_path, header, until, monkeypatch
     expected = "A.tlog: was replaced by another file" if replaced else "A.events: No such file or directory"
     assert recorder.error == f"{folder}/{expected}"
     assert recorder.close()
+    assert recorder.dropped == (4 if replaced else 14)
+
+
+def test_a_folder_that_vanishes_right_before_the_end_is_an_error(tmp_path, header, until):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    recorder = FlightRecorder(lambda: folder, header, SLOW)
+    until(lambda: recorder.recording)
+    recorder.step(step(0.0))
+    shutil.rmtree(folder)
+    assert recorder.close()
+    assert recorder.error == f"{folder}/A.events: was deleted"
+    assert recorder.dropped == 1
 
 
 def test_below_the_floor_writing_stops_and_what_is_lost_is_counted(

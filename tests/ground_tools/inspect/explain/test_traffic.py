@@ -9,6 +9,7 @@ import shutil
 import struct
 from pathlib import Path
 
+import msgspec
 import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -17,7 +18,9 @@ from companion.config import Config, FlightConfig, IdentityConfig
 from companion.event_record import Step
 from companion.events import AdsbVehicle, AuthorityChanged, GnssFix, Landed, LandedState, RemoteIdHeard
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
+from ground_tools.inspect.export import tables
 from ground_tools.inspect.read import nearness
+from ground_tools.inspect.read.flown import flown
 from ground_tools.inspect.read.nearness import ADSB_STAMP_S
 from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.report import headline, terminal
@@ -54,6 +57,13 @@ def remote_id(name: str, north_m: float, east_m: float, *, alt_m: float | None =
     return RemoteIdHeard(
         transport="wifi", address=f"02:{name}", counter=1, rssi_dbm=-60, messages=(who, where)
     )
+
+
+def beside(now_s: float, north_m: float, east_m: float) -> Step:
+    """As `step`, at another place."""
+    lat, lon, _ = HOME.to_geodetic(north_m, east_m, 0.0)
+    (place,) = step(now_s).events
+    return Step(now_s=now_s, events=(msgspec.structs.replace(place, lat_deg=lat, lon_deg=lon),), commands=())
 
 
 def heard(folder: Path, *events, config: Config = ONE):
@@ -113,6 +123,51 @@ def test_the_own_transponder_and_the_own_remote_id_are_no_traffic(tmp_path):
     assert headline.verdicts(figures)[0] == "Other aircraft: none was heard"
 
 
+FOREIGN = "Identity used by ANOTHER sender, from elsewhere: "
+
+
+def test_who_sends_our_identity_from_elsewhere_is_in_the_first_lines(tmp_path):
+    """ONE flies north at 5 m/s and hears itself, while another sender of its identity comes to 60 m."""
+    foreign = [remote_id("ONE", 5.0 * k, 60.0 + 40.0 * abs(12 - k), alt_m=480.0) for k in range(20)]
+    foreign = [msgspec.structs.replace(one, address="02:foreign") for one in foreign]
+    steps = [step(float(k), events=(remote_id("ONE", 5.0 * k, 0.0), foreign[k])) for k in range(20)]
+    write(tmp_path, ONE, steps)
+    figures = describe(read_run(tmp_path))
+    (row,) = figures["aircraft"][0]["traffic"]
+    assert (row["identity"], row["elsewhere"], row["messages"]) == ("ONE", True, 20)
+    nearest, line, *_ = headline.verdicts(figures)
+    assert nearest.startswith("Nearest other aircraft: ONE, sent from elsewhere, 60 m beside ONE")
+    assert line.startswith(f"{FOREIGN}ONE; nearest: ONE, sent from elsewhere, 60 m beside ONE")
+    assert headline.is_bad(line)
+    assert "elsewhere" in terminal.text(figures).partition("Other aircraft that were heard")[2]
+
+
+@pytest.mark.parametrize(("seconds", "told"), [(2, False), (3, True)])
+def test_a_moment_of_an_old_position_is_no_foreign_sender(tmp_path, seconds, told):
+    figures = heard(tmp_path, *[remote_id("ONE", 0.0, 500.0)] * seconds)
+    assert any(line.startswith(FOREIGN) for line in headline.verdicts(figures)) is told
+
+
+def test_who_sends_the_identity_of_a_partner_from_elsewhere_is_not_the_partner(tmp_path):
+    two = [remote_id("TWO", 5.0 * k, 45.0) for k in range(20)]
+    foreign = [remote_id("TWO", 5.0 * k, 250.0 + 10.0 * k) for k in range(20)]
+    foreign = [msgspec.structs.replace(one, address="02:foreign") for one in foreign]
+    write(tmp_path, ONE, [step(float(k), events=(two[k], foreign[k])) for k in range(20)])
+    own = [beside(float(k), 5.0 * k, 40.0) for k in range(20)]
+    write(tmp_path, Config(identity=IdentityConfig(uas_id="TWO")), own)
+    figures = describe(read_run(tmp_path))
+    rows = figures["aircraft"][0]["traffic"]
+    assert [(row["elsewhere"], row["of_the_run"], row["messages"]) for row in rows] == [
+        (False, True, 20),
+        (True, True, 20),
+    ]
+    assert [row["nearest"]["aside_m"] for row in rows] == pytest.approx([45.0, 250.0], abs=1.0)
+    lines = headline.verdicts(figures)
+    assert any(line.startswith(f"{FOREIGN}TWO; nearest: TWO, sent from elsewhere, 250 m") for line in lines)
+    # The partner itself is a pair, and no other aircraft.
+    assert "Nearest other aircraft: TWO, sent from elsewhere, 250 m beside ONE" in "".join(lines)
+
+
 def test_an_unknown_height_is_reported(tmp_path):
     figures = heard(tmp_path, adsb(0.0, 80.0, None), remote_id("TWO", 0.0, 300.0, alt_m=None))
     rows = figures["aircraft"][0]["traffic"]
@@ -136,6 +191,30 @@ def test_of_too_many_aircraft_the_nearest_are_kept(tmp_path, monkeypatch):
     assert words.startswith("7 ADS-B reports are left out")
 
 
+def test_of_too_many_remote_id_addresses_the_nearest_are_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(nearness, "_MOST", 5)
+    far = [remote_id(f"FAR{k}", 0.0, 2000.0 + k) for k in range(9)]
+    near = [remote_id("NEAR", 45.0, 20.0), remote_id("NEXT", 50.0, 90.0)]
+    write(
+        tmp_path,
+        ONE,
+        [step(float(k), events=(event,)) for k, event in enumerate([*far, *near, far[3], near[0]])],
+    )
+    run = read_run(tmp_path)
+    figures = describe(run)
+    (one,) = figures["aircraft"]
+    names = [row["identity"] for row in one["traffic"]]
+    assert names[:2] == ["NEAR", "NEXT"]
+    assert len(names) == len(one["remote_id"]["heard"]) == 5
+    assert one["heard"] == 13
+    (words,) = [words for words in one["missing"] if "frames of Remote ID" in words]
+    assert words.startswith("7 frames of Remote ID are left out: there were more than 5 radio addresses")
+    # What is left out is still in the tables, by its address.
+    blocks = tables.tracks(run, flown(run))
+    heard_names = {name for block in blocks for name in block["name"]}
+    assert {"NEAR", "02:FAR5"} <= heard_names
+
+
 def test_without_own_positions_distances_are_unknown(tmp_path):
     steps = [Step(now_s=float(k), events=(adsb(0.0, 80.0, 10.0),), commands=()) for k in range(5)]
     write(tmp_path, ONE, steps)
@@ -156,12 +235,10 @@ def test_aircraft_of_the_run_are_reported_as_pairs(tmp_path):
 @pytest.mark.parametrize(("recorded_s", "told"), [(6, True), (40, False)])
 def test_an_aircraft_that_came_near_after_its_record_was_cut_off_is_told(tmp_path, recorded_s, told):
     """TWO crosses the way of ONE, which flies north at 5 m/s, 20 m beside it at 30 s."""
-    towards = [
-        step(float(k), events=(remote_id("TWO", 5.0 * k, 20.0 + 30.0 * abs(30 - k)),)) for k in range(40)
-    ]
-    write(tmp_path, ONE, towards)
-    away = [step(float(k)) for k in range(recorded_s)]
-    write(tmp_path, Config(identity=IdentityConfig(uas_id="TWO")), away)
+    places = [(5.0 * k, 20.0 + 30.0 * abs(30 - k)) for k in range(40)]
+    write(tmp_path, ONE, [step(float(k), events=(remote_id("TWO", *at),)) for k, at in enumerate(places)])
+    own = [beside(float(k), *places[k]) for k in range(recorded_s)]
+    write(tmp_path, Config(identity=IdentityConfig(uas_id="TWO")), own)
     figures = describe(read_run(tmp_path))
     (row,) = figures["aircraft"][0]["traffic"]
     assert (row["of_the_run"], row["beyond_record"]) == (True, told)
@@ -310,6 +387,7 @@ def test_the_nearer_of_a_predicted_and_a_reported_approach_is_told(predicted_m, 
         "callsign": "",
         "of_the_run": False,
         "beyond_record": False,
+        "elsewhere": False,
         "by": "wifi",
         "nearest": nearest,
     }

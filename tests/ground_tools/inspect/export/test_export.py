@@ -12,6 +12,9 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 import tomli_w
+from mcap.reader import make_reader
+from mcap.records import Message
+from rosbags.highlevel import AnyReader
 
 from companion.config import AvoidanceConfig, Config, IdentityConfig
 from companion.errors import ConfigError
@@ -28,10 +31,16 @@ from sitl_mocks.encounters.lockstep import fly
 from sitl_mocks.encounters.scenario_file import PathSettings, Scenario, VehicleSettings
 from sitl_mocks.encounters.verdict import pairs_of
 from tests.ground_tools.inspect.flights import decision, guarded, step, track, write
+from tests.ground_tools.inspect.read.test_read_tlog import with_utc
 from tests.ground_tools.inspect.test_inputs import write_tlog
 from tests.support.place import HOME
 
 SEED = 3
+
+
+def mcap_messages(path: Path) -> list[Message]:
+    with path.open("rb") as stream:
+        return [message for _, _, message in make_reader(stream).iter_messages()]
 
 
 def run_export(*arguments: object) -> int:
@@ -316,3 +325,19 @@ def test_unwritable_files_are_reported(run_folder: Path, tmp_path: Path, option:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="cannot be"):
         run_export(run_folder, option, tmp_path / "file" / "inside")
+
+
+@pytest.mark.parametrize(("jump_s", "told"), [(0.0, False), (3600.0, True)])
+def test_a_clock_that_was_set_is_told_by_every_export(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], jump_s: float, told: bool
+) -> None:
+    words = "was set by about 3600 s"
+    log = with_utc(tmp_path / "pi.tlog", {1: 0.0, 2: 0.0}, jump_s).folder
+    for option, name in (("--csv", "csv"), ("--kml", "a.kml"), ("--mcap", "a.mcap"), ("--rosbag", "bag")):
+        assert run_export(log, option, tmp_path / name) == 0
+        assert capsys.readouterr().out.count(words) == (2 if told else 0)  # one line for each vehicle
+    about = ET.parse(tmp_path / "a.kml").getroot().findtext(f"{{{KML}}}Document/{{{KML}}}description") or ""
+    assert (words in about) is told
+    assert (words.encode() in b"".join(m.data for m in mcap_messages(tmp_path / "a.mcap"))) is told
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert any(words.encode() in raw for _, _, raw in reader.messages()) is told

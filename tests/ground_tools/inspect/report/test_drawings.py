@@ -12,9 +12,9 @@ import pytest
 
 from companion.config import Config, FlightConfig, IdentityConfig
 from companion.event_record import Step
-from companion.events import Firmware, FlightMode, GlobalPosition, Heartbeat
+from companion.events import Broadcast, Firmware, FlightMode, GlobalPosition, Heartbeat
 from ground_tools.common.figure import styled
-from ground_tools.inspect.read.flown import MAX_GAP_S, flown
+from ground_tools.inspect.read.flown import MAX_GAP_S, flown, placed
 from ground_tools.inspect.read.read_run import Run, read_run
 from ground_tools.inspect.report import lanes, plots
 from ground_tools.inspect.report.summary import describe
@@ -205,3 +205,19 @@ def test_a_gap_is_not_bridged_by_the_least_separation(tmp_path, drawn):
     time = np.asarray(least.get_xdata())
     assert np.diff(time)[~np.isnan(np.diff(time))].max() < 1.0
     assert np.isnan(time).sum() == 1
+
+
+def test_rates_are_open_in_silences_and_keep_the_lowest(tmp_path, drawn):
+    """10 Hz, with a pause of 1.5 s and a silence of a minute."""
+    times = np.arange(0.0, 1300.0, 0.1)
+    times = times[~((times > 333.35) & (times < 334.75)) & ~((times > 700.05) & (times < 760.0))]
+    sent = Broadcast(transport="wifi", messages=())
+    run = run_of(tmp_path, [Step(now_s=float(t), events=(), commands=(sent,)) for t in times])
+    plots.rates(run, placed(run))
+    (line,) = drawn[0].axes[0].get_lines()
+    time, rate = line.get_xdata(), line.get_ydata()
+    assert len(time) < 3 * plots.MOST_POINTS
+    assert np.nanmax(np.diff(time)) < 3.0
+    before = time < 700.0
+    assert rate[before].min() == pytest.approx(5 / 1.9, abs=0.02)
+    assert np.nanmin(rate) == pytest.approx(5 / (60.0 + 0.4), abs=0.01)

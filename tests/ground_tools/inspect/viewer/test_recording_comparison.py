@@ -16,8 +16,10 @@ from companion.events import (
     LandedState,
 )
 from ground_tools.inspect.read.read_run import read_run
+from ground_tools.inspect.report import compare
 from ground_tools.inspect.viewer import recording
 from ground_tools.inspect.viewer.palette import LIMIT
+from tests.ground_tools.inspect.read.test_read_tlog import with_utc
 from tests.ground_tools.inspect.viewer.reading import Read, packed, verify
 from tests.support import needs
 
@@ -86,3 +88,18 @@ def test_runs_are_drawn_in_one_frame_and_distinguishable(run_folder: Path, tmp_p
 def test_one_run_is_no_comparison(run_folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="at least two runs"):
         recording.write_comparison([read_run(run_folder)], tmp_path / "one.rrd")
+
+
+def test_a_clock_that_was_set_is_told_with_every_comparison(tmp_path: Path) -> None:
+    runs = [with_utc(tmp_path / f"{name}.tlog", {1: 0.0}, jump) for name, jump in (("a", 0.0), ("b", 3600.0))]
+    assert "problem: b: b: the clock" in compare.text(compare.compare(runs))
+    recording.write_comparison(runs, tmp_path / "both.rrd")
+    found = Read(tmp_path / "both.rrd")
+    told = [
+        any(
+            "was set by about 3600 s" in text
+            for _, (text,) in found.column(f"/runs/{name}/events/run", "text")
+        )
+        for name in ("a", "b")
+    ]
+    assert told == [False, True]
