@@ -201,7 +201,8 @@ class Flight:
             self._run.open(self.config, self._policy, str(self.onboard.link.vehicle), dry_run=dry_run)
             try:
                 self._loop()
-            except Exception:  # A bug of ours: the vehicle must not fly its last setpoint on.
+            except BaseException:
+                # A bug of ours, or whatever a plug-in raises: the vehicle must not fly its last setpoint on.
                 with contextlib.suppress(Exception):
                     self._let_go()
                 raise
