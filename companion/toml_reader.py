@@ -22,6 +22,9 @@ from companion.errors import ConfigError
 SECRET: Final = {"secret": True}
 """Use as `extra` of a key's Meta, so that no error text repeats the key's value."""
 
+MOST_BYTES: Final = 4_000_000
+"""Largest file that is read: far more than a trajectory or fence needs. A larger one is no such file."""
+
 T = TypeVar("T")
 
 
@@ -31,34 +34,64 @@ def decode_toml(path: Path, kind: type[T]) -> T:
     Raises:
         ConfigError: names the file, the key, its value and what is allowed.
     """
+    text = _text_of(path)
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raw = tomllib.loads(text)
+        _refuse_unusable(raw, str(path), "")
+    except RecursionError as error:
+        raise ConfigError(f"{path}: not valid TOML: nested too deeply") from error
+    except ValueError as error:  # also of a number with more digits than Python converts
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
-    _refuse_non_finite(raw, str(path), "")
     try:
         return msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"{path}: {_explain(str(error), raw, kind)}") from error
+        try:
+            words = _explain(str(error), raw, kind)
+        except (LookupError, TypeError):  # the user's own key contains the signs that separate keys
+            words = str(error)
+        raise ConfigError(f"{path}: {words}") from error
 
 
-def _refuse_non_finite(value: object, name: str, key: str) -> None:
+def _text_of(path: Path) -> str:
+    """Text of a file of at most `MOST_BYTES`.
+
+    Raises:
+        ConfigError: it cannot be read, is larger, or is not UTF-8.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(data) > MOST_BYTES:
+        raise ConfigError(f"{path}: more than {MOST_BYTES:,} bytes")
+    try:
+        # Editors on Windows begin a file with a byte order mark, and end lines with two characters.
+        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from error
+
+
+def _refuse_unusable(value: object, name: str, key: str) -> None:
+    """Refuse numbers that are not finite, and texts that no file name or address can contain."""
     if isinstance(value, dict):
         for k, v in value.items():
-            _refuse_non_finite(v, name, f"{key}.{k}" if key else k)
+            _refuse_unusable(v, name, f"{key}.{k}" if key else k)
     elif isinstance(value, list):
         for i, v in enumerate(value):
-            _refuse_non_finite(v, name, f"{key}[{i}]")
+            _refuse_unusable(v, name, f"{key}[{i}]")
     elif isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{name}: {key}: {value} is not a finite number")
+    elif isinstance(value, str) and "\0" in value:
+        raise ConfigError(f"{name}: {key}: contains the character NUL, which is not allowed")
 
 
 def _explain(text: str, raw: object, kind: type) -> str:
     """Turn msgspec's message ("Expected `float` <= 50.0 - at `$.limits.max_speed_mps`") into ours."""
     what, _, where = text.partition(" - at `$")
     key = where.rstrip("`").lstrip(".")
+    if what.startswith("Number"):
+        return f"{key}: {what[0].lower()}{what[1:]}"
     if not what.startswith(("Expected", "Object", "Invalid")):
         # The message of a struct's own check of its keys' combination. It begins with the key's name.
         return f"{key}.{what}" if key else what

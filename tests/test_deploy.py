@@ -46,6 +46,12 @@ def test_short_of_memory_the_kernel_ends_others_first():
     assert values("MemorySwapMax") == ["0"]
 
 
+def test_no_core_dump_holds_a_key_or_delays_a_restart():
+    """systemd's watchdog ends the process with SIGABRT, which dumps core."""
+    assert values("LimitCORE") == ["0"]
+    assert "WatchdogSignal" not in UNIT
+
+
 def test_a_refused_system_call_does_not_end_the_flight():
     assert values("SystemCallErrorNumber") == ["EPERM"]
 

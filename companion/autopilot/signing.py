@@ -31,7 +31,8 @@ MAX_STREAMS = 64
 """Number of streams remembered. Only a holder of the key can create one."""
 UNSIGNED = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS})
 """Messages accepted without a signature. Telemetry radios cannot sign their own status."""
-_LATEST = (1 << 48) - 1
+LATEST = (1 << 48) - 1
+"""Greatest timestamp: that of the year 2104."""
 _HASH_BYTES = 6
 
 
@@ -75,7 +76,7 @@ class SigningCounts:
 
 def timestamp_at(utc_s: float) -> int:
     """Signing timestamp of a Unix time; 0 before 2015."""
-    return min(max(int((utc_s - EPOCH_S) * TICKS_PER_S), 0), _LATEST)
+    return min(max(int((utc_s - EPOCH_S) * TICKS_PER_S), 0), LATEST)
 
 
 class Signing:
@@ -92,7 +93,7 @@ class Signing:
         if len(key) != KEY_BYTES:
             raise ValueError(f"a signing key has {KEY_BYTES} bytes, not {len(key)}")
         self.counts = SigningCounts()
-        self.timestamp = min(timestamp, _LATEST)
+        self.timestamp = min(timestamp, LATEST)
         """The last timestamp used; it never falls."""
         self._key = key
         self._ticks = int(now_s * TICKS_PER_S)
@@ -103,11 +104,11 @@ class Signing:
     def advance(self, now_s: float) -> None:
         """Advance the timestamp with time. A clock that steps back only stops it."""
         self._ticks = int(now_s * TICKS_PER_S)
-        self.timestamp = min(max(self.timestamp, self._ticks + self._ahead), _LATEST)
+        self.timestamp = min(max(self.timestamp, self._ticks + self._ahead), LATEST)
 
     def sign(self, frame: bytes, link_id: int = 0) -> bytes:
         """Add the next timestamp and the signature to a whole MAVLink 2 frame that is not signed yet."""
-        self.timestamp = min(self.timestamp + 1, _LATEST)
+        self.timestamp = min(self.timestamp + 1, LATEST)
         body = flagged(frame) + bytes((link_id,)) + self.timestamp.to_bytes(6, "little")
         return body + self._hash(body)
 

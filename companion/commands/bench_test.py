@@ -9,7 +9,6 @@ from a checkout changes without it, so the code is compared as well.
 from __future__ import annotations
 
 import argparse
-import functools
 import hashlib
 import sys
 import time
@@ -18,13 +17,13 @@ from typing import Final, get_args
 
 import msgspec
 
-import companion
 from companion import __version__
 from companion import config as configuration
 from companion.commands.preflight import Light, Preflight
-from companion.commands.run_evidence import Check, Stage, checks_of, read_run
+from companion.commands.run_evidence import Check, Stage, checks_of, read_run, record_sha256
 from companion.config import Config
 from companion.errors import ConfigError
+from companion.runtime.record.code import code_sha256
 from companion.runtime.record.disk import replace_file
 
 STAGES: Final[tuple[Stage, ...]] = get_args(Stage)
@@ -66,6 +65,8 @@ class Attempt(msgspec.Struct, frozen=True, kw_only=True):
     """SHA-256 of its bytes."""
     run: str | None
     """Run folder that was judged."""
+    record_sha256: str = ""
+    """SHA-256 of the event record in it; empty in older evidence, and if the stage was not judged."""
     stated: tuple[str, ...]
     """What the operator stated, in words."""
     checks: tuple[Check, ...]
@@ -149,6 +150,10 @@ def attempt_of(
     config = configuration.load(path)
     refused = _refusal(stage, stated, config, evidence)
     checks: list[Check] = []
+    record = ""
+    if refused is None:
+        record = record_sha256(folder)
+        refused = _judged_before(stage, record, evidence)
     if refused is None:
         checks = [
             *(_preflight(config) if stage == "bench" else ()),
@@ -164,6 +169,7 @@ def attempt_of(
         config=str(path),
         config_sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         run=str(folder),
+        record_sha256=record,
         stated=tuple(MEANING[name] for name in stated),
         checks=tuple(checks),
         refused=refused,
@@ -191,15 +197,12 @@ def _refusal(stage: Stage, stated: tuple[str, ...], config: Config, evidence: Ev
     return None
 
 
-@functools.cache
-def code_sha256() -> str:
-    """SHA-256 of the names and contents of all Python files of this package."""
-    root = Path(companion.__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        digest.update(f"{path.relative_to(root).as_posix()}\0".encode())
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()
+def _judged_before(stage: Stage, record: str, evidence: Evidence) -> str | None:
+    """Why one flight cannot be the evidence of two stages; None if it is that of one."""
+    for attempt in evidence.attempts:
+        if attempt.stage != stage and attempt.passed and attempt.record_sha256 == record:
+            return f'this run passed the stage "{attempt.stage}" already; fly the stage "{stage}"'
+    return None
 
 
 def _preflight(config: Config) -> list[Check]:

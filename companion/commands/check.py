@@ -23,6 +23,7 @@ from companion.autopilot.link import AutopilotLink
 from companion.autopilot.polled.streams import ENOUGH, STREAM_RATES_HZ
 from companion.avoidance.path import check_path
 from companion.commands.check_containment import judge_containment, judge_law, judge_mission
+from companion.commands.check_places import judge_heights, judge_places
 from companion.commands.check_radios import find_policy, find_radios
 from companion.commands.drip_keys import find_signing
 from companion.commands.preflight import Preflight
@@ -299,6 +300,9 @@ def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
         judge_mission(config, probe.protocol.parameters, probe.mission, found, home_m)
     _judge_rates(probe, found)
     _judge_own(config, probe, found)
+    judge_heights(config, probe.own.home_alt_msl_m, found)
+    if probe.own.position is not None:
+        judge_places(config, probe.own.position.lat_deg, probe.own.position.lon_deg, found)
 
 
 def _judge_parameters(config: Config, told: VehicleParameters | None, found: Preflight) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections import Counter, defaultdict
@@ -31,6 +32,8 @@ from companion.events import (
     SetSpeed,
     VelocitySetpoint,
 )
+from companion.runtime.record.code import code_sha256
+from companion.runtime.record.disk import MANIFEST, RUN
 
 Stage = Literal["bench", "watch", "guard", "pair"]
 BENCH_S, IN_AIR_S, WATCHED_S, TOGETHER_S = 60.0, 120.0, 60.0, 60.0
@@ -62,6 +65,7 @@ class Seen:
 
     header: Header
     summary: dict[str, Any]
+    manifest: dict[str, Any]
     steps: int = 0
     duration_s: float = 0.0
     in_air_s: float = 0.0
@@ -91,23 +95,49 @@ def read_run(folder: Path) -> Seen:
         ConfigError: it is no run folder, or the run was not recorded to its end.
         PeerDataError: its record is damaged.
     """
+    path = _record_of(folder)
+    summary = _facts(folder / "summary.json", "the run must have ended")
+    manifest = _facts(folder / MANIFEST, "every run has one")
+    with path.open("rb") as stream:
+        records = event_record.read(stream, str(path))
+        header = next(records, None)
+        if not isinstance(header, Header):
+            raise ConfigError(f"--run: {path}: holds no record")
+        seen = Seen(header, summary, manifest)
+        _read_steps(seen, (record for record in records if isinstance(record, Step)))
+    return seen
+
+
+def record_sha256(folder: Path) -> str:
+    """SHA-256 of the event record in a run folder.
+
+    Raises:
+        ConfigError: it is no run folder, or the record cannot be read.
+    """
+    path = _record_of(folder)
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise ConfigError(f"--run: {path}: cannot be read: {error.strerror}") from error
+
+
+def _record_of(folder: Path) -> Path:
     files = sorted(folder.glob("*.events"))
     if len(files) != 1:
         raise ConfigError(
             f"--run: {folder}: holds {len(files)} event records; allowed: a run of one companion"
         )
+    return files[0]
+
+
+def _facts(path: Path, words: str) -> dict[str, Any]:
+    """Content of a JSON file of a run folder; empty if it is no object."""
     try:
-        summary = json.loads((folder / "summary.json").read_text())
+        facts = json.loads(path.read_text())
     except (OSError, ValueError) as error:
-        raise ConfigError(f"--run: {folder}/summary.json: cannot be read; the run must have ended") from error
-    with files[0].open("rb") as stream:
-        records = event_record.read(stream, str(files[0]))
-        header = next(records, None)
-        if not isinstance(header, Header):
-            raise ConfigError(f"--run: {files[0]}: holds no record")
-        seen = Seen(header, summary if isinstance(summary, dict) else {})
-        _read_steps(seen, (record for record in records if isinstance(record, Step)))
-    return seen
+        raise ConfigError(f"--run: {path}: cannot be read; {words}") from error
+    return facts if isinstance(facts, dict) else {}
 
 
 def _read_steps(seen: Seen, steps: Iterator[Step]) -> None:
@@ -175,7 +205,12 @@ def checks_of(stage: Stage, seen: Seen, config: Config) -> list[Check]:
     if stage == "guard":
         ceiling = config.limits.ceiling_height_m
         needed = f"{CEILING_ROOM_M:g} m above the greatest height ({seen.highest_m:.0f} m)"
-        high = ceiling is not None and ceiling >= seen.highest_m + CEILING_ROOM_M
+        # Without a height in the air, -inf would pass below every ceiling.
+        high = (
+            ceiling is not None
+            and math.isfinite(seen.highest_m)
+            and ceiling >= seen.highest_m + CEILING_ROOM_M
+        )
         measured = "none" if ceiling is None else f"{ceiling:g} m"
         checks.append(_check("limits.ceiling_height_m", measured, needed, high))
     return checks + (_of_the_pair(seen) if stage == "pair" else [])
@@ -201,8 +236,14 @@ def _of_any_run(seen: Seen, config: Config) -> list[Check]:
     losses = s.get("link_losses")
     sent = ", ".join(f"{name} {count}" for name, count in sorted(seen.broadcasts.items())) or "nothing"
     law = bool(config.region.transport_sets)
+    what, dry = seen.manifest.get("what"), seen.manifest.get("dry_run")
+    flown = "a dry run" if dry is True else f"{what!r}" if dry is False else f"{what!r}, perhaps a dry run"
+    code = seen.manifest.get("code_sha256")
     return [
+        _check("kind of run", flown, "'companion run', no dry run", what == RUN and dry is False),
         _check("software of the run", seen.header.software, __version__, seen.header.software == __version__),
+        _check("code of the run", "the same" if code == code_sha256() else "other code", "the same",
+               code == code_sha256()),
         _check("configuration of the run", "the same" if same else "another one", "the same", same),
         _check("record", f"{dropped[0]} dropped, {dropped[1] or 'no error'}", "whole", dropped == (0, None)),
         _check("longest pause of the loop", f"{seen.worst_gap_s:.2f} s", f"up to {_STALL_S:g} s",

@@ -197,10 +197,12 @@ class Flight:
             if self._stop:
                 return
             self._say(f"vehicle {self.onboard.link.vehicle}")
-            self._run.open(self.config, self._policy, str(self.onboard.link.vehicle))
+            dry_run = self._report.dry_run
+            self._run.open(self.config, self._policy, str(self.onboard.link.vehicle), dry_run=dry_run)
             try:
                 self._loop()
-            except Exception:  # A bug of ours: the vehicle must not fly its last setpoint on.
+            except BaseException:
+                # A bug of ours, or whatever a plug-in raises: the vehicle must not fly its last setpoint on.
                 with contextlib.suppress(Exception):
                     self._let_go()
                 raise

@@ -9,7 +9,7 @@ import time
 from hashlib import sha256
 from pathlib import Path
 
-from companion.autopilot.signing import KEY_BYTES, TICKS_PER_S, Signing, timestamp_at
+from companion.autopilot.signing import KEY_BYTES, LATEST, TICKS_PER_S, Signing, timestamp_at
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.runtime import clock
@@ -44,14 +44,19 @@ def read_key(path: Path) -> bytes:
         raise ConfigError(f"{name}: empty; allowed: {_FORMS}")
     # 32 random bytes are practically never all printable: a printable file is text, even if it has 32 bytes.
     printable = all(0x20 <= byte < 0x7F for byte in text)
+    if not any(data):
+        # So a file may look after a power cut; autopilots take this key for none.
+        raise ConfigError(f"{name}: holds only zero bytes; write the key again")
     if not printable and len(data) == KEY_BYTES:
         return data
     if not printable:
         raise ConfigError(f"{name}: {len(data)} bytes that are not one line of ASCII text; allowed: {_FORMS}")
-    if all(chr(byte) in _HEX for byte in text) and len(text) >= KEY_BYTES:
-        if len(text) != 2 * KEY_BYTES:
-            raise ConfigError(f"{name}: {len(text)} hexadecimal digits; a key has {2 * KEY_BYTES}")
-        return bytes.fromhex(text.decode())
+    digits = text.strip(b" ")
+    if all(chr(byte) in _HEX for byte in digits) and len(digits) >= KEY_BYTES:
+        # With a space they would be a passphrase, and so another key.
+        if len(digits) != 2 * KEY_BYTES:
+            raise ConfigError(f"{name}: {len(digits)} hexadecimal digits; a key has {2 * KEY_BYTES}")
+        return bytes.fromhex(digits.decode())
     return sha256(text).digest()
 
 
@@ -75,7 +80,7 @@ def private_bytes(path: Path, key: str) -> bytes:
                     f"{key}: {path}: mode {stat.S_IMODE(status.st_mode):04o} gives other users "
                     f"access to the key; run chmod 600 {path}"
                 )
-            return file.read(_MOST_BYTES)
+            data = file.read(_MOST_BYTES + 1)
     except FileNotFoundError as error:
         # The text does not repeat the path: a user may have entered the key itself instead of a path.
         raise ConfigError(
@@ -83,6 +88,9 @@ def private_bytes(path: Path, key: str) -> bytes:
         ) from error
     except OSError as error:
         raise ConfigError(f"{key}: {path}: cannot be read: {error.strerror}") from error
+    if len(data) > _MOST_BYTES:
+        raise ConfigError(f"{key}: {path}: more than {_MOST_BYTES} bytes, which no key has")
+    return data
 
 
 class KeptSigning:
@@ -153,7 +161,9 @@ class KeptSigning:
             return 0
         except UnicodeDecodeError:
             text = ""
-        if not text.strip().isdigit() or len(text) >= 20:
+        start = int(text) + int(PERIOD_S * TICKS_PER_S) if text.strip().isdigit() and len(text) < 20 else None
+        # The last timestamp can never be followed by another: the vehicle would take one frame and no more.
+        if start is None or start >= LATEST:
             self.unread = f"{self._path}: damaged"
             return 0
-        return int(text) + int(PERIOD_S * TICKS_PER_S)
+        return start

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from companion.adjustable_parameters import checked, differences
+from companion.adjustable_parameters import ENABLE, checked, differences
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.events import Settings
@@ -47,7 +47,8 @@ def read_settings(config: Config) -> Settings:
 
 
 def usable_settings(config: Config, say: Callable[[str], None], unread: Callable[[str], None]) -> Settings:
-    """The stored settings; those of the configuration if the file cannot be used.
+    """The stored settings; those of the configuration if the file cannot be used, but switched off if it says
+    so.
 
     Args:
         say: receives a line for each setting that differs from the configuration.
@@ -56,11 +57,28 @@ def usable_settings(config: Config, say: Callable[[str], None], unread: Callable
     try:
         settings = read_settings(config)
     except ConfigError as error:
-        unread(f"settings: {error}; the stored settings are not used, the configuration applies")
-        return Settings()
+        # Whoever switched the companion off did not know that another setting would not fit any more.
+        settings = Settings(enable=_enabled(config))
+        kept = "the configuration applies" if settings.enable else f"only {ENABLE} 0 is kept of them"
+        unread(f"settings: {error}; the stored settings are not used, {kept}")
     for text in differences(config, Settings(), settings):
         say(f"settings: {text}")
     return settings
+
+
+class _Switch(msgspec.Struct):
+    """The one setting that is kept even if others cannot be used."""
+
+    enable: bool = True
+
+
+def _enabled(config: Config) -> bool:
+    """Whether the stored settings leave the companion switched on, as far as they can be read."""
+    try:
+        with settings_path(config).open("rb") as file:
+            return msgspec.json.decode(file.read(_MOST_BYTES), type=_Switch).enable
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return True
 
 
 class KeptSettings:

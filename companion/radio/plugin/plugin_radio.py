@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from itertools import islice
 from typing import Any, TypeVar
 
 from companion import plugins
@@ -49,6 +50,8 @@ class GuardedRadio:
         """What it did wrong last, in words; None if nothing."""
         self._failed_s: dict[str, float] = {}
         """When the last broadcast failed, for each transport whose last one did."""
+        self._refusing_s: dict[str, float] = {}
+        """Since when each transport refuses all messages, for those that do."""
         self._bad = 0
 
     @property
@@ -76,28 +79,37 @@ class GuardedRadio:
         try:
             words = self.made.configure(dict(rates), probe=probe)
             return tuple(_text(word) for word in words)
-        except ConfigError:
+        except (ConfigError, KeyboardInterrupt):
             raise
-        except (Exception, SystemExit) as error:
+        except BaseException as error:
             raise ConfigError(f"{self._plugin} cannot be prepared: {plugins.cause(error)}") from error
 
     def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
-        """See `Radio.broadcast`."""
+        """See `Radio.broadcast`.
+
+        A plug-in that refuses everything for `FORGIVEN_S` has failed: it may raise ValueError because its
+        file is closed.
+        """
         try:
             self.made.broadcast(transport, messages, now_s)
-        except ValueError:
+        except KeyboardInterrupt:
             raise
-        except (Exception, SystemExit) as error:
+        except BaseException as error:
+            if isinstance(error, ValueError):
+                since_s = self._refusing_s.setdefault(transport, now_s)
+                if now_s - since_s < FORGIVEN_S:
+                    raise ValueError(plugins.cause(error)) from error
             self._failed_s[transport] = now_s
             self._note(error)
         else:
             self._failed_s.pop(transport, None)
+            self._refusing_s.pop(transport, None)
 
     def heard(self, now_s: float) -> list[RemoteIdHeard]:
         """See `Radio.heard`. Frames that break the contract are counted and left out."""
         found: list[RemoteIdHeard] = []
         nothing: list[Any] = []
-        for event in self._ask(lambda: list(self.made.heard(now_s))[:MOST_HEARD], nothing):
+        for event in self._ask(lambda: list(islice(self.made.heard(now_s), MOST_HEARD)), nothing):
             try:
                 found.append(_checked(event))
             except Exception:  # whatever a plug-in may put into a message
@@ -129,7 +141,9 @@ class GuardedRadio:
     def _ask(self, question: Callable[[], T], otherwise: T) -> T:
         try:
             return question()
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # also asyncio's CancelledError, which is no Exception
             self._note(error)
             return otherwise
 

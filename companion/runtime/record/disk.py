@@ -8,6 +8,7 @@ crash or a power cut counts as finished, too.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
@@ -67,14 +68,22 @@ def write_all(file: int, data: bytes | bytearray) -> None:
 def replace_file(path: Path, data: bytes) -> None:
     """Replace a small file atomically: afterwards it is either complete or as it was before.
 
+    The draft beside it is this process's own: of two that wrote the same draft, one would publish what the
+    other has not written to its end. A link that somebody put in its place is not followed.
+
     Raises:
         OSError: the file cannot be written.
     """
-    new = path.with_suffix(".new")
-    file = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
+    new = path.with_name(f"{path.name}.{os.getpid()}.new")
+    file = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
     try:
         write_all(file, data)
         os.fsync(file)
+    except OSError:
+        # Restarts on a full disk must not leave a draft each.
+        with contextlib.suppress(OSError):
+            new.unlink()
+        raise
     finally:
         os.close(file)
     new.replace(path)

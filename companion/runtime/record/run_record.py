@@ -20,6 +20,7 @@ from companion import config as configuration
 from companion.config import Config
 from companion.event_record import Header, Step
 from companion.runtime.policy import RUN_FILE
+from companion.runtime.record.code import code_sha256
 from companion.runtime.record.disk import RUN, DiskFloor, replace_file
 from companion.runtime.record.recorder import (
     CLOSE_S,
@@ -91,7 +92,7 @@ class RunRecord:
         """Names of older runs that were deleted in flight to make room."""
         return [] if self._recorder is None else self._recorder.deleted
 
-    def open(self, config: Config, policy: bytes | None, vehicle: str) -> None:
+    def open(self, config: Config, policy: bytes | None, vehicle: str, *, dry_run: bool = False) -> None:
         """Make the run folder and record everything, including what was kept until now.
 
         Does not wait for the disk: a later `step` reports the folder to the user, and `error` holds a
@@ -109,7 +110,15 @@ class RunRecord:
             self._make_room(config)
             folder = create_run_folder(Path(config.record.folder), config.record.name, utc_s)
             _write_configuration(folder, config, policy)
-            write_manifest(folder, RUN, aircraft=[header.aircraft], started_utc_s=utc_s, vehicle=vehicle)
+            write_manifest(
+                folder,
+                RUN,
+                aircraft=[header.aircraft],
+                started_utc_s=utc_s,
+                vehicle=vehicle,
+                dry_run=dry_run,
+                code_sha256=code_sha256(),
+            )
             return folder
 
         # The record must begin with the core's first step; otherwise a replay would not reach the same

@@ -17,6 +17,8 @@ from companion.commands.cli import main
 from companion.commands.preflight import Preflight
 from companion.event_record import MAGIC, Header, encode
 from companion.events import Firmware, RadioState
+from companion.runtime.record.disk import MANIFEST, RUN
+from companion.runtime.record.recorder import write_manifest
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from tests.companion.commands.conftest import Vehicle
 from tests.companion.core.conftest import intruder
@@ -72,6 +74,7 @@ class Flown(Pair):
         parts = [MAGIC, *(encode(record) for record in (header, *self.steps))]
         (folder / "first.events").write_bytes(b"".join(parts))
         (folder / "summary.json").write_text(json.dumps(SUMMARY | summary))
+        write_manifest(folder, RUN, dry_run=False, code_sha256=bench_test.code_sha256())
         return folder
 
 
@@ -202,6 +205,36 @@ def test_a_pair_that_never_met_or_came_too_near(tmp_path: Path) -> None:
     assert failed(tmp_path) == ["configuration of the run", "limits.ceiling_height_m"]
 
 
+@pytest.mark.parametrize(
+    ("facts", "what"),
+    [
+        ({"dry_run": True}, "kind of run"),
+        ({"dry_run": None}, "kind of run"),  # recorded before the manifest told
+        ({"what": "sitl-mocks demo"}, "kind of run"),
+        ({"code_sha256": "0" * 64}, "code of the run"),
+    ],
+)
+def test_a_run_that_is_no_flight_of_this_code(tmp_path: Path, facts: dict[str, Any], what: str) -> None:
+    path = config_file(tmp_path, "watch")
+    run = Flown(path).run(12.0).landed().recorded(tmp_path / "run")
+    manifest = json.loads((run / MANIFEST).read_text())
+    (run / MANIFEST).write_text(json.dumps(manifest | facts))
+    passed_before(tmp_path, "watch")
+    assert judged("watch", path, run, *CONFIRM["watch"]) == 1
+    assert failed(tmp_path) == [what]
+
+
+def test_one_flight_is_no_evidence_of_two_stages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    guard = config_file(tmp_path, "guard", more="[limits]\nceiling_height_m = 60.0\n")
+    flown = Flown(guard)
+    flown.heard = passer(flown, 50.0)
+    run = flown.run(20.0).landed().recorded(tmp_path / "both")
+    passed_before(tmp_path, "guard")
+    assert judged("guard", guard, run, *CONFIRM["guard"]) == 0
+    assert judged("pair", guard, run, *CONFIRM["pair"]) == 1
+    assert 'this run passed the stage "guard" already' in capsys.readouterr().err
+
+
 def test_broken_input_names_the_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = config_file(tmp_path, "watch")
     assert main(["bench-test", "bench"]) == 2
@@ -219,6 +252,9 @@ def test_a_run_that_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert judged("bench", path, tmp_path, *CONFIRM["bench"]) == 2
     assert "the run must have ended" in capsys.readouterr().err
     (tmp_path / "summary.json").write_text("[]")
+    assert judged("bench", path, tmp_path, *CONFIRM["bench"]) == 2
+    assert "manifest.json" in capsys.readouterr().err
+    (tmp_path / MANIFEST).write_text("[]")
     assert judged("bench", path, tmp_path, *CONFIRM["bench"]) == 2
     assert "holds no record" in capsys.readouterr().err
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+from asyncio import CancelledError
+
 import pytest
 
 from companion.errors import ConfigError
@@ -101,7 +104,16 @@ def test_a_flood_is_cut():
     assert len(made(hears_now=[HEARD] * (2 * MOST_HEARD)).heard(0.0)) == MOST_HEARD
 
 
-@pytest.mark.parametrize("error", [RuntimeError("no idea"), OSError(5, "broken"), SystemExit(1)])
+def test_an_endless_answer_is_cut():
+    taken = itertools.count()
+    radio = made(heard=lambda _now_s: (HEARD for _ in taken))
+    assert len(radio.heard(0.0)) == MOST_HEARD
+    assert next(taken) <= MOST_HEARD + 1
+
+
+@pytest.mark.parametrize(
+    "error", [RuntimeError("no idea"), OSError(5, "broken"), SystemExit(1), CancelledError()]
+)
 def test_what_it_raises_is_in_its_state(error):
     radio = made(heard=raising(error))
     assert radio.heard(0.0) == []
@@ -133,6 +145,30 @@ def test_messages_that_cannot_be_sent_are_still_refused():
     radio = made(broadcast=raising(ValueError("too long")))
     with pytest.raises(ValueError, match="too long"):
         radio.broadcast("wifi", (WORDS,), 0.0)
+
+
+def test_a_radio_that_refuses_everything_has_failed():
+    """A closed file raises ValueError, too; the radio must not look well while nothing is on the air."""
+    radio = made(broadcast=raising(ValueError("I/O operation on closed file")))
+    with pytest.raises(ValueError, match="closed file"):
+        radio.broadcast("wifi", (WORDS,), 10.0)
+    assert radio.health(10.0).can_send == {"wifi"}
+    radio.broadcast("wifi", (WORDS,), 10.0 + FORGIVEN_S)
+    health = radio.health(10.0 + FORGIVEN_S)
+    assert not health.ok
+    assert "closed file" in health.text
+    assert health.can_send == frozenset()
+
+
+def test_a_message_that_passes_between_two_that_are_refused_shows_that_the_radio_works():
+    radio = made(broadcast=raising(ValueError("too long")))
+    for now_s in (10.0, 20.0):
+        with pytest.raises(ValueError, match="too long"):
+            radio.broadcast("wifi", (WORDS,), now_s)
+        radio.made.broadcast, refuse = (lambda *_: None), radio.made.broadcast
+        radio.broadcast("wifi", (WORDS,), now_s + 1.0)
+        radio.made.broadcast = refuse
+    assert radio.health(21.0).ok
 
 
 @pytest.mark.parametrize("told", [None, "well", Health(True, None, 0, 0, 0), Health(True, "", "3", 0, 0)])

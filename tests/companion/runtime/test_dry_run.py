@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 
 import msgspec
@@ -16,6 +17,7 @@ from companion.remote_id.messages import Location, Status
 from companion.runtime import clock, radios
 from companion.runtime.flight import Flight
 from companion.runtime.links.byte_link import LinkTrouble
+from companion.runtime.record.code import code_sha256
 from tests.companion.runtime.flying import (
     Joined,
     fly,
@@ -103,3 +105,5 @@ def test_a_dry_run_computes_and_transmits_nothing(
     assert made.onboard.core.state.value == "avoiding"
     assert made.folder is not None
     assert any(path.stat().st_size > 1000 for path in made.folder.glob("*.events"))
+    manifest = json.loads((made.folder / "manifest.json").read_text())
+    assert (manifest["dry_run"], manifest["code_sha256"]) == (dry_run, code_sha256())

@@ -15,7 +15,7 @@ from companion.config import Config, IdentityConfig, LimitsConfig, RecordConfig
 from companion.errors import ConfigError
 from companion.events import Settings
 from companion.runtime.flight import Flight
-from companion.runtime.stored_parameters import KeptSettings, read_settings, settings_path
+from companion.runtime.stored_parameters import KeptSettings, read_settings, settings_path, usable_settings
 from tests.companion.runtime.flying import Autopilot, Radio, configured, fly
 
 SET = Settings(enable=False, max_speed_mps=3.5)
@@ -135,3 +135,24 @@ def test_settings_of_another_configuration_are_not_used(config):
     slower = msgspec.structs.replace(config, limits=LimitsConfig(max_speed_mps=3.0))
     with pytest.raises(ConfigError, match="DMUCA_SPD_MAX"):
         read_settings(slower)
+
+
+@pytest.mark.parametrize(
+    ("content", "enable"),
+    [
+        (msgspec.json.encode(SET), False),
+        (b'{"type":"Settings","enable":false,"speed":3}', False),
+        (b'{"type":"Settings","max_speed_mps":3.5}', True),
+        (b'{"type":"Settings","enable":fal', True),
+    ],
+)
+def test_a_companion_that_was_switched_off_stays_so_if_another_setting_no_longer_fits(
+    config, content, enable
+):
+    path = settings_path(config)
+    path.parent.mkdir()
+    path.write_bytes(content)
+    slower = msgspec.structs.replace(config, limits=LimitsConfig(max_speed_mps=3.0))
+    told = []
+    assert usable_settings(slower, lambda _line: None, told.append) == Settings(enable=enable)
+    assert ("the configuration applies" in told[0]) is enable

@@ -46,6 +46,8 @@ def key_file(tmp_path):
         # As long as a raw key, with and without the end of the line.
         (b"x" * 32, hashlib.sha256(b"x" * 32).digest()),
         (b"x" * 31 + b"\n", hashlib.sha256(b"x" * 31).digest()),
+        # A space behind the digits does not make a passphrase of them.
+        (DIGITS.encode() + b" \n", bytes.fromhex(DIGITS)),
         # Hexadecimal digits by chance.
         (b"deadbeef", hashlib.sha256(b"deadbeef").digest()),
     ],
@@ -71,6 +73,9 @@ def test_a_passphrase_is_what_the_ground_stations_make_of_it(key_file):
         (b"\xff" * 33, "33 bytes that are not one line of ASCII"),
         (b"two\nlines\n", "10 bytes that are not one line of ASCII"),
         ("schlüssel".encode(), "10 bytes that are not one line of ASCII"),
+        (bytes(32), "holds only zero bytes"),
+        (DIGITS[:-1].encode() + b" \n", "63 hexadecimal digits; a key has 64"),
+        (b"x" * 1025, "more than 1024 bytes"),
     ],
 )
 def test_what_is_no_key_is_refused_and_not_shown(key_file, data, words):
@@ -197,7 +202,7 @@ def test_a_peer_that_is_ahead_is_followed_over_the_restart(config, clock):
     assert used(KeptSigning(config))[0] > last
 
 
-@pytest.mark.parametrize("text", ["", "abc", "-5", "9" * 30, "\xff"])
+@pytest.mark.parametrize("text", ["", "abc", "-5", "9" * 30, "9" * 18, "281474976710655\n", "\xff"])
 def test_a_damaged_file_is_begun_anew_and_told(config, clock, tmp_path, text):
     (tmp_path / "runs").mkdir()
     path = tmp_path / "runs" / TIMESTAMP_FILE

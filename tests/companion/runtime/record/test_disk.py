@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,7 +14,7 @@ import pytest
 from companion.config import RecordConfig
 from companion.event_record import Header
 from companion.runtime.record import disk
-from companion.runtime.record.disk import DiskFloor, finished_runs, free_mb
+from companion.runtime.record.disk import DiskFloor, finished_runs, free_mb, replace_file
 from companion.runtime.record.recorder import FlightRecorder
 
 DAYS = ["20260101T000000Z-a", "20260102T000000Z-b", "20260103T000000Z-c"]
@@ -151,3 +154,32 @@ def test_a_run_that_is_being_written_is_not_finished(runs, make_config, until):
 def test_the_folder_need_not_be_there_yet(tmp_path):
     assert free_mb(tmp_path / "runs" / "to" / "come") == pytest.approx(free_mb(tmp_path), rel=0.1)
     assert finished_runs(Path("/nowhere")) == []
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from companion.runtime.record.disk import replace_file
+for _ in range(300):
+    replace_file(Path(sys.argv[1]), sys.argv[2].encode() * 20_000)
+"""
+
+
+def test_two_processes_that_write_one_file_publish_nothing_torn(tmp_path):
+    path = tmp_path / "signing-timestamp"
+    writers = [subprocess.Popen([sys.executable, "-c", WRITER, path, digit]) for digit in "12"]
+    seen = set()
+    while any(writer.poll() is None for writer in writers):
+        with contextlib.suppress(FileNotFoundError):
+            data = path.read_bytes()
+            seen.add((len(data), len(set(data))))
+    assert [writer.returncode for writer in writers] == [0, 0]
+    assert seen <= {(20_000, 1)}
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_the_draft_of_a_file_is_beside_it_and_overwrites_no_other(tmp_path):
+    other = tmp_path / "flights.new"
+    other.write_text("kept")
+    replace_file(tmp_path / "flights.json", b"{}")
+    assert other.read_text() == "kept"
