@@ -31,6 +31,8 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Digest of each data file on which it depends, by its path in the checkout."""
     packages: dict[str, str]
     """Versions of the packages that compute, and of Python."""
+    content: str | None = None
+    """Digest of the file itself (`content_of`); None in a record written before the file was whole."""
 
 
 def now(command: str, roots: Iterable[str], data: Iterable[str], packages: Iterable[str]) -> Provenance:
@@ -58,6 +60,18 @@ def changes(old: Provenance, new: Provenance) -> list[str]:
     for before, after in ((old.sources, new.sources), (old.data, new.data)):
         found += [name for name in sorted(before | after) if before.get(name) != after.get(name)]
     return found
+
+
+def content_of(path: Path) -> str:
+    """Digest of a file's content.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def beside(path: Path) -> Path:

@@ -34,6 +34,8 @@ _UNKNOWN, _ACTIVE, _COMPLETE = (
     int(getattr(mavlink, f"MISSION_STATE_{name}")) for name in ("UNKNOWN", "ACTIVE", "COMPLETE")
 )
 """Values of MISSION_STATE. Firmware that does not report the state also sends 0."""
+_NO_TOTAL = 0xFFFF
+"""Value of MISSION_CURRENT.total in firmware that does not report it; 0: older firmware, or no mission."""
 
 
 def finished(state: int, reached: int | None, last_seq: int) -> bool:
@@ -57,6 +59,8 @@ class Fleet:
         self._missions: list[tuple[MissionItem, ...]] = [()] * len(vehicles)
         self._elsewhere_s: dict[str, float] = {}
         """Time (monotonic, s) since which a vehicle is in an unexpected mode, by name."""
+        self._began_s: dict[str, float] = {}
+        """Time (monotonic, s) at which a vehicle's mission was started, by name."""
         self._ending: set[str] = set()
         """Names of the vehicles that have reached the landing at the end of their mission."""
 
@@ -246,6 +250,7 @@ class Fleet:
         PX4 acknowledges the command while it still checks the mission, but then does not enter the mode.
         """
         end_s = time.monotonic() + _START_S
+        self._began_s[vehicle.name] = time.monotonic()
         while True:
             # Until the mission flies, the vehicle stays in the mode that we commanded before.
             vehicle.ours |= {vehicle.modes.mission}
@@ -269,12 +274,17 @@ class Fleet:
         current = vehicle.last("MISSION_CURRENT")
         # Without items of ours, the mission was already on the vehicle. PX4's total counts all its items,
         # ArduPilot's leaves out home.
-        last_seq = (len(items) or current.get("total", 0)) - 1 + vehicle.first_seq
-        reached = vehicle.last("MISSION_ITEM_REACHED").get("seq")
+        count = len(items) or current.get("total", 0)
+        last_seq = count - 1 + vehicle.first_seq
+        # An item that was reached before the start is one of an earlier flight.
+        began_s = self._began_s.get(vehicle.name, -math.inf)
+        reached = vehicle.last("MISSION_ITEM_REACHED", began_s).get("seq")
         if finished(current.get("mission_state", _UNKNOWN), reached, last_seq):
             return True
         modes = {vehicle.modes.mission, vehicle.modes.external}
-        if (not items or items[-1].command in _ENDS) and current.get("seq", 0) >= last_seq:
+        # Where the number of items is unknown, the last one cannot be told from any other.
+        at_end = 0 < count < _NO_TOTAL and current.get("seq", 0) >= last_seq
+        if at_end and (not items or items[-1].command in _ENDS):
             self._ending.add(vehicle.name)
         if vehicle.name in self._ending:
             # PX4 flies the RTL at the end of a mission in its RTL mode; before the end, RTL is a failsafe.

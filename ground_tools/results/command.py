@@ -17,14 +17,18 @@ from ground_tools.common.progress import progress
 from ground_tools.results import kept
 from ground_tools.results.kept import Entry
 
-Status = Literal["current", "unchanged", "changed", "outdated", "unknown"]
+Status = Literal["current", "unchanged", "changed", "outdated", "unknown", "unsealed", "edited", "missing"]
 _WORDS: Final = {
     "current": "made by today's code and data",
     "unchanged": "made by other code or data; a sample made again is the same",
     "changed": "made by other code or data; --sample tells whether a sample is still the same",
     "outdated": "not what today's software makes",
     "unknown": "made by unknown code",
+    "unsealed": "made by today's code and data, but its content was not recorded",
+    "edited": "its content is not the one that was recorded",
+    "missing": "there is no such file",
 }
+_GOOD: Final = frozenset({"current", "unchanged"})
 _SHOWN: Final = 3
 """Most changed sources, or differences of a sample, that are shown for each file."""
 
@@ -73,7 +77,7 @@ def run_verify(args: argparse.Namespace) -> int:
                 words.print(f"    {line}", soft_wrap=True, highlight=False)
             if len(why) > _SHOWN:
                 words.print(f"    and {len(why) - _SHOWN} more", highlight=False)
-            if status in ("changed", "outdated", "unknown"):
+            if status not in _GOOD:
                 words.print(f"    make it again: {entry.command}", soft_wrap=True, highlight=False)
                 worst = 1
             advance()
@@ -91,15 +95,27 @@ def run_record(args: argparse.Namespace) -> int:
         raise ConfigError("record: this is an installed copy; results are recorded in a checkout only")
     words, worst = Console(), 0
     for entry in chosen_of(args.paths):
-        differences = entry.remake(entry.path)
-        if differences:
+        why = _refusal(entry, made=args.made)
+        if why is not None:
             worst = 1
-            words.print(f"{entry.name}: not recorded: {differences[0]}", soft_wrap=True, highlight=False)
+            words.print(f"{entry.name}: not recorded: {why}", soft_wrap=True, highlight=False)
             continue
         evidence: Literal["made", "sample"] = "made" if args.made else "sample"
-        provenance.write(entry.path, msgspec.structs.replace(entry.now(), evidence=evidence))
+        content = provenance.content_of(entry.path)
+        provenance.write(entry.path, msgspec.structs.replace(entry.now(), evidence=evidence, content=content))
         words.print(f"{entry.name}: recorded", soft_wrap=True, highlight=False)
     return worst
+
+
+def _refusal(entry: Entry, *, made: bool) -> str | None:
+    """Why a file must not be recorded, as text; None if it may be."""
+    if not entry.path.is_file():
+        return _WORDS["missing"]
+    record = provenance.read(entry.path)
+    # A sample shows nothing about the rest of the file, so that part must be what was once made.
+    if not made and record is not None and record.content not in (None, provenance.content_of(entry.path)):
+        return f"{_WORDS['edited']}; --made says that today's software made the whole file"
+    return next(iter(entry.remake(entry.path)), None)
 
 
 def chosen_of(paths: Sequence[Path]) -> list[Entry]:
@@ -129,13 +145,20 @@ def status_of(entry: Entry, *, sample: bool) -> tuple[Status, list[str]]:
     Raises:
         ConfigError: a file cannot be read.
     """
+    if not entry.path.is_file():
+        return "missing", []
     record = provenance.read(entry.path)
+    if record is not None and record.content not in (None, provenance.content_of(entry.path)):
+        return "edited", []
     changed = [] if record is None else provenance.changes(record, entry.now())
     if sample:
         differences = entry.remake(entry.path)
         if differences:
             return "outdated", differences
-        return ("current", []) if record is not None and not changed else ("unchanged", changed)
+        sealed = record is not None and record.content is not None
+        return ("current", []) if sealed and not changed else ("unchanged", changed)
     if record is None:
         return "unknown", []
-    return ("changed", [f"changed since: {name}" for name in changed]) if changed else ("current", [])
+    if changed:
+        return "changed", [f"changed since: {name}" for name in changed]
+    return ("unsealed" if record.content is None else "current"), []

@@ -93,10 +93,12 @@ def _tables() -> list[Entry]:
     from ground_tools.campaign.tables import TABLES
 
     twins = {"twins", "twins-lost"}
+    # The command's own default is another number of flights.
+    seeds = dict.fromkeys(TABLES, 1000) | {"laws": 4000, "twenty": 300, "twins-lost": 200}
     return [
         Entry(
             f"results/campaign/{name}.json",
-            f"ground-tools campaign table {name} --file results/campaign/{name}.json",
+            f"ground-tools campaign table {name} --seeds 1-{seeds[name]} --file results/campaign/{name}.json",
             (TWINS if name in twins else FLIGHT, *ENCOUNTERS),
             _campaign,
         )

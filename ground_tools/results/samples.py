@@ -15,10 +15,20 @@ from ground_tools.paper.closed_loop.flights import Row, rows_of
 def campaign_table(path: Path) -> list[str]:
     """Fly the first seed of every line of a campaign's table again. Returns the differences, as text."""
     table = tables.read(path)
+    if not table.lines:
+        return ["the file holds no line"]
+    wanted = tables.TABLES.get(path.stem)
+    if wanted is not None and [line.cell for line in table.lines] != wanted():
+        return [f"the file holds other cells than the table's; it has {len(table.lines)} of {len(wanted())}"]
+    runs = 1 + table.seeds[1] - table.seeds[0]
     found = []
     for line in table.lines:
         if line.first is None:
             return ["the file holds no single flight to compare with"]
+        if line.found.get("runs") != runs:
+            found.append(
+                f"{line.cell.name}: {line.found.get('runs')} flights; seeds {table.seeds} are {runs}"
+            )
         (again,) = campaign.fly(line.cell, [line.first.seed])
         if again != line.first:
             found.append(
@@ -37,9 +47,13 @@ def closed_loop_cell(path: Path) -> list[str]:
     args = parser.parse_args(["--conditions", condition, "--methods", method])
     _, lines = read_lines(path, Row)
     kept = {row.encounter: row for row in lines}
-    first = closed_loop.flights_of(args, condition, method)[0]
+    flights = closed_loop.flights_of(args, condition, method)
+    first = flights[0].seeds[0]
+    missing = sum(seed not in kept for seed in range(first, first + args.encounters))
+    if missing:
+        return [f"{missing} of {args.encounters} encounters are missing"]
     found = []
-    for again in rows_of(first):
+    for again in rows_of(flights[0]):
         row = kept.get(again.encounter)
         if row != again:
             before = "missing" if row is None else f"least separation {row.least_separation_m:.2f} m"

@@ -24,8 +24,11 @@ _DIGITS: Final = 4
 def training(path: Path) -> list[str]:
     """Train the first episodes of every kept run again. Returns the differences, as text."""
     set_up_torch()
+    runs = results.read(path).runs
+    if not runs:
+        return ["the file holds no run"]
     found = []
-    for run in results.read(path).runs:
+    for run in runs:
         parts = ALGORITHMS[run.algorithm].parts()
         settings: Any = msgspec.convert(run.settings, type(parts.settings))
         learner = parts.make(settings, run.seed, torch.device("cpu"))

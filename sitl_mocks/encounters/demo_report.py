@@ -55,6 +55,11 @@ class Verdict:
         return 2.0 * self.scenario.avoidance.conflict_radius_m
 
     @property
+    def met(self) -> bool:
+        """Whether a pair came within the limit without avoidance, so that the flight shows what it does."""
+        return self.unavoided.min_separation_m <= self.limit_m
+
+    @property
     def ok(self) -> bool:
         """Whether every pair kept apart and every aircraft was back on its path at the end."""
         return not self.reasons()
@@ -62,14 +67,17 @@ class Verdict:
     def reasons(self) -> list[str]:
         """Requirements that did not hold, as text."""
         found = []
-        near = [p for p in self.avoided.pairs if p.min_separation_m <= self.limit_m]
+        # A number that is not one fails every comparison, so what must hold is compared, not what must not.
+        near = [p for p in self.avoided.pairs if not p.min_separation_m > self.limit_m]
+        if not self.avoided.pairs or not self.avoided.deviations:
+            found.append("nothing was flown")
         if near:
             found.append(
                 f"{len(near)} of {len(self.avoided.pairs)} pairs came within {self.limit_m:g} m of each other"
             )
         found += [f"{name}: {fault}" for name, fault in self.avoided.faults.items()]
         deviations, on_path = self.avoided.deviations, on_path_limit_m(self.scenario)
-        away = [d.final_m for d in deviations if d.final_m > on_path]
+        away = [d.final_m for d in deviations if not d.final_m <= on_path]
         if away:
             found.append(
                 f"{len(away)} of {len(deviations)} aircraft were not back on their paths at the end "
@@ -170,6 +178,8 @@ def show(verdict: Verdict, folder: Path, console: Console) -> None:
     if not avoids:
         least = f'least separation {a.min_separation_m:.2f} m without avoidance (law "none")'
     console.print(f"{word}: {least}; limit {verdict.limit_m:g} m", soft_wrap=True)
+    if not verdict.met:
+        console.print("  No pair came that near without avoidance, so this flight shows nothing about it.")
     for reason in verdict.reasons():
         console.print(f"  {reason}", soft_wrap=True)
     console.print(f"run folder: {folder}", soft_wrap=True)

@@ -296,15 +296,19 @@ def _fly(swarm: Swarm, plan: Plan, names: list[str], console: Console) -> dict[s
             raise
         # In an examination, a process that ended by itself is a result, not an error of the run.
         interrupted, bad = False, [str(error)]
+    # Only the end of all schedules may end a flight early.
+    flown_s = min(plan.duration_s, time.time() - start_utc_s) if plan.until_over else plan.duration_s
     for examination in swarm.examinations:
         examination.rest()
     bad += swarm.end(companions)
     results = end_all(swarm.examinations, swarm.folder)
     bad += swarm.end(vehicles) + swarm.end([ether])
     left = {name: vehicle.last_json() for name, vehicle in zip(names, vehicles, strict=True)}
+    by_name = dict(zip(names, paths, strict=True))
     report = report_of(
-        swarm.folder, scenario, left, ether.last_json(), bad, start_utc_s, interrupted=interrupted
-    )
+        swarm.folder, scenario, left, ether.last_json(), bad, by_name, (start_utc_s, flown_s),
+        interrupted=interrupted,
+    )  # fmt: skip
     return verdict.judged(report, results) if faults else report
 
 

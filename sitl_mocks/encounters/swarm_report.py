@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import combinations
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path, PurePath
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from companion import event_record
+from companion.arrays import Floats
 from companion.events import RemoteIdHeard
 from companion.radio.frames_io import radio_address
-from sitl_mocks.air.pair_statistics import information_age
+from sitl_mocks.air.pair_statistics import PairStats, information_age
 from sitl_mocks.encounters.choosing import choices_in_words, chosen_of
 from sitl_mocks.encounters.lockstep import uas_id_of
 from sitl_mocks.encounters.scenario_file import Scenario
+from sitl_mocks.encounters.truth_files import run_of
+from sitl_mocks.encounters.verdict import deviations_of, on_path_limit_m, pairs_of
 
 _WORST_GAP_S = 0.5
 _GOOD_SHARE = 0.999
+_LEFT = 0.5
+"""Share of its largest deviation that an aircraft off its path may still have to make up at the end. A flight
+in real time is too short to wait for the whole return, whose last metres are slow.
+"""
 _UNHEARD = 3
 """Number of frames of a pair that may still lie in a socket when its companion ends."""
 
@@ -36,7 +42,8 @@ def report_of(
     vehicles: dict[str, dict[str, object]],
     air: dict[str, object],
     bad: list[str],
-    start_utc_s: float,
+    paths: Mapping[str, Floats],
+    times: tuple[float, float],
     *,
     interrupted: bool,
 ) -> dict[str, object]:
@@ -47,61 +54,62 @@ def report_of(
         vehicles: by aircraft, the final output of its vehicle process.
         air: the final output of the ether process.
         bad: processes that ended with an error.
-        start_utc_s: UTC at which the paths began.
+        paths: by aircraft, its timed path as in `lockstep.paths_of`.
+        times: UTC at which the paths began, and the time flown from then on (s).
         interrupted: whether Ctrl-C interrupted the run.
     """
-    names = list(vehicles)
-    separation = _separations(folder, names, start_utc_s)
+    names, on_path = list(vehicles), on_path_limit_m(scenario)
+    run, missing = run_of(folder, names, *times)
+    pairs = pairs_of(run)
+    deviations = deviations_of(run, [paths[one.name] for one in run.aircraft], on_path)
     gaps = {name: _gaps(left) for name, left in vehicles.items()}
-    pairs = _air(folder, {name: uas_id_of(scenario, name) for name in names}, air)
+    frames = _air(folder, {name: uas_id_of(scenario, name) for name in names}, air)
     chosen = {name: chosen_of(_records(folder, name)) for name in names}
-    least = min((float(str(row["min_separation_m"])) for row in separation), default=None)
-    good_gaps = all(
-        g["share_under_100ms"] >= _GOOD_SHARE and g["largest_s"] <= _WORST_GAP_S for g in gaps.values()
-    )
-    ok = (
-        not bad
-        and not interrupted
-        and least is not None
-        and least > limit_m(scenario)
-        and good_gaps
-        and all(row["ok"] for row in pairs)
-    )
+    least = min((pair.min_separation_m for pair in pairs), default=None)
+    reasons = [f"{name}: {why}" for name, why in missing.items()]
+    if interrupted:
+        reasons.append("the run was interrupted")
+    if least is None:
+        reasons.append("there is no pair of aircraft")
+    elif not least > limit_m(scenario):
+        reasons.append(f"a pair came within {limit_m(scenario):g} m of each other")
+    reasons += [
+        f"{one.name}: it was {one.final_m:.1f} m from its path at the end and did not return; allowed: "
+        f"{max(on_path, _LEFT * one.largest_m):.1f} m"
+        for one in deviations
+        if not one.final_m <= max(on_path, _LEFT * one.largest_m)
+    ]
+    reasons += [f"{name}: its setpoints were late or missing" for name, gap in gaps.items() if not _good(gap)]
+    reasons += [
+        f"{row['receiver']} heard {row['heard']} of {row['sent']} frames of {row['sender']}"
+        for row in frames
+        if not row["ok"]
+    ]
     return {
-        "ok": ok,
+        "ok": not bad and not reasons,
+        "reasons": reasons,
         "interrupted": interrupted,
         "ended_badly": bad,
-        "min_separation_m": least,
-        "separations": separation,
+        "min_separation_m": None if least is None else round(least, 3),
+        "separations": [
+            {
+                "pair": [pair.first, pair.second],
+                "min_separation_m": round(pair.min_separation_m, 3),
+                "at_s": round(pair.at_s, 2),
+            }
+            for pair in pairs
+        ],
+        "deviations": [asdict(one) for one in deviations],
         "setpoint_gaps": gaps,
-        "air": pairs,
+        "air": frames,
         "policy": None if scenario.atmc.policy is None else PurePath(scenario.atmc.policy).name,
         "transports": {name: one.to_dict() for name, one in chosen.items()},
         "transports_in_words": choices_in_words(list(chosen.values())),
     }
 
 
-def _separations(folder: Path, names: list[str], start_utc_s: float) -> list[dict[str, object]]:
-    truth = {}
-    for name in names:
-        rows = np.loadtxt(folder / f"{name}.truth.csv", delimiter=",", skiprows=1, ndmin=2)
-        truth[name] = rows[rows[:, 0] >= start_utc_s]
-    found: list[dict[str, object]] = []
-    for a, b in combinations(names, 2):
-        first, second = truth[a], truth[b]
-        if not len(first) or not len(second):
-            continue
-        other = np.column_stack([np.interp(first[:, 0], second[:, 0], second[:, k]) for k in (1, 2, 3)])
-        distance = np.linalg.norm(first[:, 1:4] - other, axis=1)
-        at = int(np.argmin(distance))
-        found.append(
-            {
-                "pair": [a, b],
-                "min_separation_m": round(float(distance[at]), 3),
-                "at_s": round(float(first[at, 0]) - start_utc_s, 2),
-            }
-        )
-    return found
+def _good(gap: dict[str, float]) -> bool:
+    return gap["share_under_100ms"] >= _GOOD_SHARE and gap["largest_s"] <= _WORST_GAP_S
 
 
 def _gaps(left: dict[str, object]) -> dict[str, float]:
@@ -115,7 +123,7 @@ def _gaps(left: dict[str, object]) -> dict[str, float]:
 def _air(folder: Path, identities: dict[str, str], statistics: dict[str, object]) -> list[dict[str, object]]:
     """Frames per ordered pair: sent and lost (air's count), received (record of each companion).
 
-    Frames that were sent and not lost on the air must have been received.
+    Every aircraft must have sent, and frames that were sent and not lost on the air must have been received.
     """
     addresses = {radio_address(identity): name for name, identity in identities.items()}
     pairs: dict[str, dict[str, Any]] = statistics.get("pairs", {})  # type: ignore[assignment]
@@ -123,9 +131,9 @@ def _air(folder: Path, identities: dict[str, str], statistics: dict[str, object]
     for receiver in identities:
         heard = _heard(folder, receiver, addresses)
         for sender in identities:
-            row = pairs.get(f"{identities[sender]}>{identities[receiver]}")
-            if sender == receiver or row is None:
+            if sender == receiver:
                 continue
+            row = pairs.get(f"{identities[sender]}>{identities[receiver]}", PairStats().to_dict())
             count = row["sent"]
             unheard = count - row["lost"] - heard.get(sender, 0)
             found.append(
@@ -135,7 +143,7 @@ def _air(folder: Path, identities: dict[str, str], statistics: dict[str, object]
                     **row,
                     "heard": heard.get(sender, 0),
                     "lost_share": round(1.0 - heard.get(sender, 0) / count if count else 1.0, 4),
-                    "ok": unheard <= _UNHEARD,
+                    "ok": count > 0 and unheard <= _UNHEARD,
                 }
             )
     return found
@@ -199,3 +207,5 @@ def show(report: dict[str, object], console: Console) -> None:
     console.print(
         f"{word}: least separation {report['min_separation_m']} m from the start of the timed paths"
     )
+    for reason in report["reasons"]:  # type: ignore[attr-defined]
+        console.print(f"  {reason}", soft_wrap=True, markup=False)

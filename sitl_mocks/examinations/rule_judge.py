@@ -124,6 +124,8 @@ class Judge:
     """Judge of one vehicle with one companion.
 
     Args:
+        system_id: MAVLink system of the vehicle. Other vehicles' frames may reach the companion too, and tell
+            nothing about this one. None: every frame is the vehicle's.
         grace_s: longest time that a step of a running companion may still take when a message arrives; 0 in
             virtual time.
         cause_s: a change of the mode within this time after our request arrived is its effect.
@@ -132,7 +134,13 @@ class Judge:
     """
 
     def __init__(
-        self, bounds: Bounds, *, grace_s: float = 0.0, cause_s: float = 0.1, crossing_s: float = 0.7
+        self,
+        bounds: Bounds,
+        *,
+        system_id: int | None = None,
+        grace_s: float = 0.0,
+        cause_s: float = 0.1,
+        crossing_s: float = 0.7,
     ) -> None:
         self.breaches: list[Breach] = []
         self.crossed = 0
@@ -146,6 +154,7 @@ class Judge:
         """Time at which the last setpoint left."""
         self.crossing_s = crossing_s
         self._bounds = bounds
+        self._system_id = system_id
         self._grace_s = grace_s
         self._cause_s = cause_s
         self._scanner = FrameScanner()
@@ -276,6 +285,8 @@ class Judge:
         self._read_s = now_s
         for sent_s, raw in told:
             if len(raw) < 12 or raw[0] != 0xFD or raw[6] != _AUTOPILOT:
+                continue
+            if self._system_id not in (None, raw[5]):
                 continue
             message_id = raw[7] | raw[8] << 8 | raw[9] << 16
             if message_id == _POSITION:

@@ -211,7 +211,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `sitl-mocks soak`. Returns 0, or 1 if a rule was broken.
+    """Run `sitl-mocks soak`. Returns 0; 1 if a rule was broken, or a companion sent nothing to be judged.
 
     Raises:
         ConfigError: an option is out of range, or a file is not a schedule.
@@ -224,6 +224,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--seed: {args.seed} is out of range; allowed: 0 or more")
     pairs: list[tuple[Firmware, Use]] = list(product(Firmware, ("guard", "fly")))
     hours, broken = args.hours / len(pairs), False
+    idle: list[str] = []
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(len(pairs), os.cpu_count() or 1), mp_context=spawn) as pool:
         began = time.monotonic()
@@ -235,12 +236,17 @@ def run(args: argparse.Namespace) -> int:
                 row = asdict(result)
                 report = {"firmware": firmware.value, "use": use, "after_s": round(time.monotonic() - began)}
                 print(json.dumps(report | row.pop("told") | row), flush=True)
+                if result.told.setpoints == 0:
+                    idle.append(f"{firmware.value}-{use}")
             else:
                 broken = True
                 _tell_broken(f"{args.seed}-{firmware.value}-{use}", *result, args.out)
-    if not broken:
+    if idle:
+        # Rules on what a companion sends hold for one that never takes the vehicle.
+        print(f"no result for {', '.join(idle)}: the companion sent no setpoint; fly more hours", flush=True)
+    elif not broken:
         print(f"{args.hours:g} simulated hours, seed {args.seed}: no rule was broken", flush=True)
-    return int(broken)
+    return int(broken or bool(idle))
 
 
 def _tell_broken(name: str, words: str, schedule: dict[str, Any], folder: Path) -> None:

@@ -69,7 +69,7 @@ class World:
             noise,
         )
         self.link = ModelledLink("udp", way) if link is None else link
-        self.judge = Judge(bounds_of(firmware, use))
+        self.judge = Judge(bounds_of(firmware, use), system_id=self.vehicle.options.system_id)
         self.others = Crossing(HOME, HEIGHT_M, UTC_AT_ZERO_S, others)
         self.onboard = new_companion(use)
         self.now_s = 0.0

@@ -91,7 +91,12 @@ class Examination:
         self.trouble: str | None = None
         """Reason why no result is known; None if there is none."""
         firmware = vehicle.firmware
-        self._judge = Judge(bounds_of(firmware, "fly", limits), grace_s=GRACE_S, cause_s=CAUSE_S)
+        self._judge = Judge(
+            bounds_of(firmware, "fly", limits),
+            system_id=vehicle.system_id,
+            grace_s=GRACE_S,
+            cause_s=CAUSE_S,
+        )
         self._vehicle = vehicle
         self._start_mode = MANNERS[firmware].waits_in
         self._begins_s = begins_s

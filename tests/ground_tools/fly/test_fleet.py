@@ -30,6 +30,8 @@ class Made:
         self.mode = mode
         self.told: list[object] = []
         self.messages: dict[str, dict[str, int]] = {}
+        self.heard_s = 0.0
+        """Time of the messages."""
         self.refuses = False
         self.silent = False
         self.item = 1
@@ -45,7 +47,7 @@ class Made:
         return ""
 
     def last(self, name: str, since_s: float = 0.0) -> dict[str, int]:
-        return self.messages.get(name, {})
+        return self.messages.get(name, {}) if self.heard_s >= since_s else {}
 
     def command(self, number: int, *params: float | None) -> None:
         self.told.append((number, *params))
@@ -207,6 +209,41 @@ def test_an_rtl_outside_the_mission_does_not_complete_it():
     assert waiting(vehicle, WAYPOINT, RTL, seq=1, landed=True) is None
     assert "disarmed by itself" in (waiting(vehicle, WAYPOINT, RTL, seq=0, landed=True) or "")
     assert "disarmed by itself" in (waiting(vehicle, WAYPOINT, seq=0, landed=True) or "")
+
+
+@pytest.mark.usefixtures("clock")
+def test_an_item_that_was_reached_before_the_start_does_not_complete_the_mission():
+    vehicle = Made(PX4, "AUTO.MISSION")
+    fleet = fleet_of(vehicle)
+    fleet._missions = [(WAYPOINT, WAYPOINT)]
+    vehicle.messages = {
+        "MISSION_CURRENT": {"seq": 0, "mission_state": 0},
+        "MISSION_ITEM_REACHED": {"seq": 1},
+    }
+    steps.time.sleep(5.0)
+    vehicle.heard_s = 4.0
+    fleet._began_s["vehicle 1"] = 5.0
+    assert not fleet._is_finished(vehicle)
+    vehicle.heard_s = 6.0
+    assert fleet._is_finished(vehicle)
+
+
+@pytest.mark.usefixtures("clock")
+@pytest.mark.parametrize("total", [{}, {"total": 0}, {"total": 0xFFFF}])
+@pytest.mark.parametrize("firmware", [ARDUPILOT, PX4])
+def test_without_the_number_of_items_no_return_is_the_end_of_the_mission(firmware, total):
+    """A failsafe that returns in the middle of a mission that was aboard already."""
+    mode = "RTL" if firmware is ARDUPILOT else "AUTO.RTL"
+    vehicle = Made(firmware, mode)
+    fleet = fleet_of(vehicle)
+    vehicle.messages["MISSION_CURRENT"] = {"seq": 3, "mission_state": 0} | total
+    with pytest.raises(VehicleError, match=f"it is in {mode}, not"):
+        fleet.wait()
+    vehicle.messages["MISSION_CURRENT"] = {"seq": 3, "mission_state": 3, "total": 4 - vehicle.first_seq}
+    with pytest.raises(TimeoutError):
+        fleet.wait()  # At the last item the return belongs to the mission.
+    vehicle.on_ground, vehicle.armed = True, False
+    fleet.wait()
 
 
 @pytest.mark.usefixtures("clock")

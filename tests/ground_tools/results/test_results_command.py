@@ -8,8 +8,11 @@ import pytest
 from companion.errors import ConfigError
 from companion.shipped import shipped
 from ground_tools import cli
+from ground_tools.campaign import tables
 from ground_tools.common import provenance
-from ground_tools.results import command, kept
+from ground_tools.common.kept_lines import read_lines
+from ground_tools.paper.closed_loop.flights import Row
+from ground_tools.results import command, kept, samples
 from ground_tools.results.kept import Entry
 
 NAME = "results/some.json"
@@ -52,6 +55,52 @@ def test_a_recorded_file_is_current_until_its_code_changes(some, capsys):
     assert "made by other code or data; --sample tells" in out
     assert "changed since: companion.errors\n    changed since: companion.gone\n" in out
     assert "make it again: make it" in out
+
+
+def test_a_file_that_was_changed_by_hand_is_not_todays(some, capsys):
+    entry, _ = some
+    assert cli.main(["results", "record", "--made"]) == 0
+    entry.path.write_text("2")
+    for options in ((), ("--sample",)):
+        code, out = verify(capsys, *options)
+        assert code == 1
+        assert f"{NAME}: its content is not the one that was recorded\n" in out
+    assert cli.main(["results", "record"]) == 1
+    assert "--made says that" in capsys.readouterr().out
+    assert provenance.read(entry.path).content != provenance.content_of(entry.path)
+    assert cli.main(["results", "record", "--made"]) == 0
+    assert verify(capsys)[0] == 0
+
+
+@pytest.mark.parametrize("text", ["", "1 "])
+def test_an_empty_file_and_one_more_byte_are_noticed(some, capsys, text):
+    entry, _ = some
+    assert cli.main(["results", "record", "--made"]) == 0
+    entry.path.write_text(text)
+    assert verify(capsys)[0] == 1
+
+
+def test_a_file_that_is_gone_is_not_todays_and_is_not_recorded(some, capsys):
+    entry, _ = some
+    assert cli.main(["results", "record", "--made"]) == 0
+    entry.path.unlink()
+    for options in ((), ("--sample",)):
+        code, out = verify(capsys, *options)
+        assert code == 1
+        assert f"{NAME}: there is no such file\n" in out
+    assert cli.main(["results", "record", "--made"]) == 1
+    assert "not recorded: there is no such file" in capsys.readouterr().out
+
+
+def test_a_record_without_the_content_is_no_proof_of_it(some, capsys):
+    """Such a record is written before the first row of the file."""
+    entry, _ = some
+    provenance.write(entry.path, entry.now())
+    code, out = verify(capsys)
+    assert code == 1
+    assert "its content was not recorded" in out
+    assert cli.main(["results", "record"]) == 0
+    assert verify(capsys)[0] == 0
 
 
 def test_an_equal_sample_is_sufficient(some, capsys):
@@ -110,3 +159,72 @@ def test_every_listed_file_is_there_and_every_kept_file_is_listed():
     there -= {root / "city-paper" / name for name in ("city.png", "runs.parquet", "table.csv")}
     there -= {root / "city-separation" / "city-separation.png"}
     assert there <= listed
+
+
+def test_the_command_of_a_table_flies_the_seeds_that_the_file_holds():
+    for name in tables.TABLES:
+        (entry,) = [e for e in kept.entries() if e.name == f"results/campaign/{name}.json"]
+        first, last = tables.read(entry.path).seeds
+        assert f" --seeds {first}-{last} " in entry.command
+
+
+# ---------------------------------------------------------------- samples
+
+
+@pytest.fixture
+def twins(tmp_path, monkeypatch):
+    """A copy of a small table, whose flights are not flown again."""
+    path = tmp_path / "twins.json"
+    table = tables.read(shipped("results/campaign/twins.json"))
+    firsts = {line.cell: line.first for line in table.lines}
+    monkeypatch.setattr(samples.campaign, "fly", lambda cell, seeds: [firsts[cell]])
+    tables.write(path, table)
+    return path, table
+
+
+def test_a_table_is_equal_to_itself(twins):
+    assert samples.campaign_table(twins[0]) == []
+
+
+def test_a_table_without_lines_is_no_equal_sample(twins):
+    path, table = twins
+    tables.write(path, msgspec.structs.replace(table, lines=()))
+    assert samples.campaign_table(path) == ["the file holds no line"]
+
+
+def test_a_table_that_lacks_a_line_or_flights_differs(twins):
+    path, table = twins
+    tables.write(path, msgspec.structs.replace(table, lines=table.lines[:-1]))
+    (word,) = samples.campaign_table(path)
+    assert "it has 1 of 2" in word
+    short = msgspec.structs.replace(table.lines[0], found=table.lines[0].found | {"runs": 999})
+    tables.write(path, msgspec.structs.replace(table, lines=(short, *table.lines[1:])))
+    (word,) = samples.campaign_table(path)
+    assert "999 flights" in word
+
+
+def test_a_first_flight_that_comes_out_otherwise_differs(twins):
+    path, table = twins
+    line = table.lines[0]
+    other = msgspec.structs.replace(line.first, separation_m=line.first.separation_m + 1.0)
+    tables.write(
+        path,
+        msgspec.structs.replace(table, lines=(msgspec.structs.replace(line, first=other), *table.lines[1:])),
+    )
+    (word,) = samples.campaign_table(path)
+    assert "least separation" in word
+
+
+@pytest.mark.parametrize(
+    ("left_out", "missing"), [(slice(1, 2), 1), (slice(100, 201), 101), (slice(1, None), 200)]
+)
+def test_a_file_of_the_closed_loop_that_lacks_rows_differs(tmp_path, monkeypatch, left_out, missing):
+    lines = shipped("results/atmc/closed-loop/sparse-rule.jsonl").read_text().splitlines(keepends=True)
+    path = tmp_path / "sparse-rule.jsonl"
+    path.write_text("".join(lines))
+    first = read_lines(path, Row)[1][0]
+    monkeypatch.setattr(samples, "rows_of", lambda flight: [first])
+    assert samples.closed_loop_cell(path) == []
+    del lines[left_out]
+    path.write_text("".join(lines))
+    assert samples.closed_loop_cell(path) == [f"{missing} of 200 encounters are missing"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 
 import pytest
@@ -20,7 +21,7 @@ from companion.ownship import Ownship
 from sitl_mocks import cli
 from sitl_mocks.examinations import soak
 from sitl_mocks.examinations.faults import KINDS, Fault, drawn, from_json, to_json
-from sitl_mocks.examinations.flights import BrokenRuleError, Flights
+from sitl_mocks.examinations.flights import BrokenRuleError, Flights, Told
 from sitl_mocks.examinations.soak import Schedule, fly, from_file, schedule_of, shorten, to_file
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 
@@ -198,6 +199,20 @@ def test_the_command_replays_a_file(tmp_path, capsys):
     assert cli.main(["soak", "--schedule", str(file)]) == 2
     file.write_text("{}")
     assert cli.main(["soak", "--schedule", str(file)]) == 2
+
+
+@pytest.mark.parametrize(
+    ("setpoints", "code", "words"), [(0, 1, "no result for px4-fly"), (1, 0, "no rule was")]
+)
+def test_a_companion_that_sent_nothing_has_no_result(monkeypatch, capsys, setpoints, code, words):
+    def flown(firmware, use, *_):
+        own = setpoints if (firmware, use) == (Firmware.PX4, "fly") else 1
+        return soak.Flown(0.25, "udp", Told(setpoints=own))
+
+    monkeypatch.setattr(soak, "_pair", flown)
+    monkeypatch.setattr(soak, "ProcessPoolExecutor", lambda count, mp_context: ThreadPoolExecutor(count))
+    assert cli.main(["soak"]) == code
+    assert words in capsys.readouterr().out.splitlines()[-1]
 
 
 def test_hours_that_are_none_are_refused(capsys):

@@ -65,6 +65,26 @@ class Table:
         return [breach.rule for breach in self.judge.first()]
 
 
+def test_another_vehicle_tells_nothing_about_this_one():
+    """Its positions make no setpoint fresh, and its mode is not read as the pilot's."""
+    other = MavlinkWriter(77, 1)
+    place = other.pack(mavlink.MAVLink_global_position_int_message(1, 0, 0, 0, 0, 0, 0, 0, 0))
+    mode = other.pack(mavlink.MAVLink_heartbeat_message(2, 3, 217, RTL, 4, 3))
+    for system_id, rules in ((1, ["stale"]), (None, ["request"])):
+        table = Table()
+        table.judge = Judge(bounds_of(Firmware.ARDUPILOT, "guard"), system_id=system_id)
+        table.judge.shows(0.0, AUTO, armed=True)
+        table.read(0.0, position())
+        table.send(0.1, asks(GUIDED))
+        table.judge.shows(0.1, GUIDED, armed=True)
+        table.read(1.9, place)
+        table.send(2.0, setpoint())
+        table.pilot(2.1, RTL)
+        table.read(2.2, mode)
+        table.send(2.25, asks(BRAKE))
+        assert table.rules == rules
+
+
 def test_a_companion_that_yields_breaks_nothing():
     table = Table()
     table.send(1.0, setpoint())
