@@ -162,7 +162,10 @@ def beyond(fence: Floats, n: float, e: float) -> float:
 
 @_compiled
 def least_distance2(position: Floats, before: Floats, i: int, j: int) -> float:
-    """Square of the least distance of two aircraft during one step, on straight lines between its ends."""
+    """Square of the least distance of two aircraft during one step, on straight lines between its ends.
+
+    0 if a position is not a number, so that a flight that nobody can judge counts as lost.
+    """
     px, py, pz = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1], before[j, 2] - before[i, 2]
     dx, dy, dz = (
         position[j, 0] - position[i, 0] - px,
@@ -173,7 +176,8 @@ def least_distance2(position: Floats, before: Floats, i: int, j: int) -> float:
     if d2 > 0.0:
         share = min(max(-(px * dx + py * dy + pz * dz) / d2, 0.0), 1.0)
         px, py, pz = px + share * dx, py + share * dy, pz + share * dz
-    return float(px * px + py * py + pz * pz)
+    least2 = px * px + py * py + pz * pz
+    return float(least2) if d2 >= 0.0 and least2 >= 0.0 else 0.0
 
 
 @_inlined

@@ -4,6 +4,7 @@ decisions."""
 from __future__ import annotations
 
 import itertools
+import math
 
 import msgspec
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from companion.avoidance import kernels as k
 from ground_tools.campaign import cells as campaign
-from ground_tools.campaign import vehicles
+from ground_tools.campaign import outcome, vehicles
 from ground_tools.campaign.cells import Cell, Row
 
 AVOIDED = Cell(generator="crossing", aircraft=5, delay_s=(1.0, 2.0), intruders=0.2, intruder="liar")
@@ -74,3 +75,12 @@ def test_every_pair_has_its_number():
     cell = Cell(generator="circle", aircraft=4, law="none")
     rows = campaign.fly(cell, range(1, 20))
     assert set(itertools.chain(*(row.lost for row in rows))) == set(range(6))
+
+
+@pytest.mark.parametrize("broken", [math.nan, math.inf])
+def test_aircraft_whose_positions_are_no_numbers_count_as_lost(broken):
+    before = np.array([[0.0, 0.0, 0.0], [100.0, 0.0, 0.0]])
+    position = before.copy()
+    position[1, 2] = broken
+    assert outcome.least_distance2(before, before, 0, 1) == pytest.approx(100.0**2)
+    assert outcome.least_distance2(position, before, 0, 1) == 0.0
