@@ -82,6 +82,12 @@ def _crosscheck(path: Path) -> list[str]:
     return crosscheck.sample(path)
 
 
+def _sweep(path: Path) -> list[str]:
+    from ground_tools.atmc.commands import sweep
+
+    return sweep.sample(path)
+
+
 def entries() -> list[Entry]:
     """All kept files, in the order of their names."""
     found = [*_tables(), *_compared(), *_flown(), *_cities(), *_trained()]
@@ -181,6 +187,13 @@ def _trained() -> list[Entry]:
             (f"{learners}.outside",),
             _crosscheck,
             packages=(*_TRAINED, *OF_OTHERS),
+        ),
+        Entry(
+            "results/atmc/sweep.jsonl",
+            "ground-tools atmc sweep --winners 1-5 --out results/atmc/sweep.jsonl",
+            tuple(roots[name] for name in ("iac", "maddpg", "madqn")),
+            _sweep,
+            packages=_TRAINED,
         ),
     ]
     made = "ground-tools atmc train --algorithm {} --seed N, then ground-tools atmc freeze RUN --out {}"

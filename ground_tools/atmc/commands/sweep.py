@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import msgspec
@@ -22,7 +23,7 @@ from ground_tools.atmc.commands import kept_runs
 from ground_tools.atmc.commands.results import NAMES
 from ground_tools.atmc.commands.train import seed_range
 from ground_tools.atmc.env.torch_setup import set_up_torch
-from ground_tools.common.kept_lines import Kept
+from ground_tools.common.kept_lines import Kept, read_lines
 from ground_tools.common.run_options import processes_of
 
 KEPT: Final = shipped("results/atmc/sweep.jsonl")
@@ -185,6 +186,25 @@ def train(one: tuple[Algorithm, int, int, int]) -> Row:
         validation=tuple(validation),
         cpu_s=round(time.process_time() - begun, 1),
     )
+
+
+def sample(path: Path) -> list[str]:
+    """Train the beginning of each algorithm's first run again. Returns the differences, as text.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    firsts: dict[Algorithm, Row] = {}
+    for row in read_lines(path, Row)[1]:
+        firsts.setdefault(row.algorithm, row)
+    if len(firsts) < len(CONFIGURATIONS):
+        return ["the file lacks the runs of an algorithm"]
+    found = []
+    for row in firsts.values():
+        again = train((row.algorithm, row.configuration, row.seed, VALIDATE_EVERY)).validation[0]
+        if again != row.validation[0]:
+            found.append(f"{row.algorithm}, seed {row.seed}: {row.validation[0]}, now {again}")
+    return found
 
 
 def table(rows: Iterable[Row]) -> list[dict[str, Any]]:

@@ -28,7 +28,7 @@ FILE: Final = "runs.jsonl"
 PACKAGES: Final = ("numpy", "numba")
 COMMAND: Final = "ground-tools paper city --out results/city-paper"
 SEPARATION_COMMAND: Final = (
-    "ground-tools paper city-separation --methods ble4 policy perfect --out results/city-separation"
+    "ground-tools paper city-separation --methods ble4 policy ideal perfect --out results/city-separation"
 )
 _TOLD_S: Final = 60.0
 """Interval between lines about the progress, if no progress bar can be shown."""

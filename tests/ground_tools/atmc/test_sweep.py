@@ -122,6 +122,22 @@ def test_the_table_says_which_settings_are_the_default(tmp_path, capsys):
     assert "IAC reward log, discount 0.0 101 1,001 0.0" in said
 
 
+def test_a_sample_shows_a_changed_run_and_a_missing_algorithm(tmp_path, monkeypatch):
+    monkeypatch.setattr(sweep, "train", lambda one: row(one[0], one[1], ((one[3], 1000.0),)))
+    path = tmp_path / "sweep.jsonl"
+
+    def kept(*rows):
+        lines = [b"{}", *map(msgspec.json.encode, rows)]
+        path.write_bytes(b"\n".join(lines) + b"\n")
+        return sweep.sample(path)
+
+    same = [row(name, validation=((10, 1000.0), (20, 900.0))) for name in CONFIGURATIONS]
+    assert kept(*same) == []
+    assert kept(*same[:2]) == ["the file lacks the runs of an algorithm"]
+    (found,) = kept(*same[:2], row("iac", validation=((10, 1001.0),)))
+    assert found.startswith("iac, seed 101")
+
+
 def test_the_best_settings_are_trained_with_seeds_that_did_not_choose_them(tmp_path, capsys, monkeypatch):
     trained = []
 
