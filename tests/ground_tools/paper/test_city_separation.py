@@ -125,15 +125,16 @@ def test_the_command_flies_what_is_missing_once(tmp_path, capsys):
 def test_the_page_shows_the_kept_runs():
     """These are the kept runs; nothing is flown here."""
     folder = ROOT / "results" / "city-separation"
-    grid = Grid(densities=(100.0,), methods=("ble4", "policy", "perfect"), loads=(0.0,))
+    grid = Grid(densities=(100.0,), methods=("ble4", "policy", "ideal", "perfect"), loads=(0.0,))
     points = Plan(grid, separation.SEPARATIONS).points(runs.kept(folder).rows)
-    assert [len(rows) for rows in points.values()] == [3] * 16
+    assert [len(rows) for rows in points.values()] == [3] * 21
     found = judged(points, separation.SHARE)
     page = (ROOT / "docs" / "city-results.md").read_text()
     assert markdown(points, found) in page
     assert (folder / "table.md").read_text() == markdown(points, found)
     assert needed(points, found, "ble4") == Point("ble4", 7.0)
     assert needed(points, found, "policy") == Point("policy", 10.0)
+    assert needed(points, found, "ideal") == Point("ideal", 7.0)
     assert needed(points, found, "perfect") is None
 
 
@@ -150,7 +151,7 @@ def test_the_record_names_the_options_that_make_the_runs_again(tmp_path):
 
 
 def test_the_kept_command_is_that_of_its_plan():
-    grid = Grid(densities=(100.0,), methods=("ble4", "policy", "perfect"), loads=(0.0,))
+    grid = Grid(densities=(100.0,), methods=("ble4", "policy", "ideal", "perfect"), loads=(0.0,))
     options = Plan(grid, separation.SEPARATIONS).options
     made = f"ground-tools paper city-separation{options} --out results/city-separation"
     assert made == runs.SEPARATION_COMMAND
