@@ -167,19 +167,19 @@ def _records(folder: Path, name: str) -> Iterator[event_record.Record]:
             yield from event_record.read(stream, str(file))
 
 
-def show(report: dict[str, object], console: Console) -> None:
+def show(report: dict[str, Any], console: Console) -> None:
     """Print the verdict as tables and text."""
     pairs = Table(title="Least separation of each pair")
     pairs.add_column("pair")
     pairs.add_column("separation", justify="right")
     pairs.add_column("at", justify="right")
-    for row in report["separations"]:  # type: ignore[attr-defined]
+    for row in report["separations"]:
         pairs.add_row(" - ".join(row["pair"]), f"{row['min_separation_m']:.2f} m", f"{row['at_s']} s")
     console.print(pairs)
     gaps = Table(title="Setpoints at the vehicle")
     for name in ("aircraft", "received", "gaps under 100 ms", "largest gap"):
         gaps.add_column(name, justify="left" if name == "aircraft" else "right")
-    for name, gap in report["setpoint_gaps"].items():  # type: ignore[attr-defined]
+    for name, gap in report["setpoint_gaps"].items():
         gaps.add_row(
             name,
             f"{gap['setpoints']}",
@@ -187,15 +187,15 @@ def show(report: dict[str, object], console: Console) -> None:
             f"{gap['largest_s']:.3f} s",
         )
     console.print(gaps)
-    lost = [row["lost_share"] for row in report["air"]]  # type: ignore[attr-defined]
+    lost = [row["lost_share"] for row in report["air"]]
     if lost:
         console.print(
             f"Remote ID: {len(lost)} pairs; largest share of lost messages {100 * max(lost):.1f} %; "
-            f"{information_age(report['air'])}"  # type: ignore[arg-type]
+            f"{information_age(report['air'])}"
         )
     if report["policy"] is not None:
         console.print(report["transports_in_words"], highlight=False)
-    for name in report["ended_badly"]:  # type: ignore[attr-defined]
+    for name in report["ended_badly"]:
         console.print(f"[red]ended with an error:[/] {name}")
     if "faults" in report:
         console.print(
@@ -207,5 +207,5 @@ def show(report: dict[str, object], console: Console) -> None:
     console.print(
         f"{word}: least separation {report['min_separation_m']} m from the start of the timed paths"
     )
-    for reason in report["reasons"]:  # type: ignore[attr-defined]
+    for reason in report["reasons"]:
         console.print(f"  {reason}", soft_wrap=True, markup=False)
