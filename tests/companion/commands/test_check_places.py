@@ -42,6 +42,9 @@ def lines(judge: Callable[[Preflight], None]) -> list[tuple[str, str]]:
         (FenceArea(inclusion=False, points=FIELD), None),
         (FenceArea(inclusion=False, points=SWAPPED), "km from the vehicle, so it bounds nothing"),
         (FenceArea(inclusion=False, points=((0.82, 0.14),), radius_m=500.0), "km from the vehicle"),
+        # 0.225 degrees of latitude are 25 km, of which the radius is the vehicle's.
+        (FenceArea(inclusion=False, points=((47.225, 8.0),), radius_m=1_000.0), ": 24 km from the vehicle"),
+        (FenceArea(inclusion=False, points=((47.225, 8.0),), radius_m=6_000.0), None),
     ],
 )
 def test_a_fence_that_is_elsewhere(
@@ -72,16 +75,31 @@ def test_a_path_that_is_elsewhere(make_config: Callable[..., Config]) -> None:
 
 
 @pytest.mark.parametrize(
+    ("north_deg", "told"), [(0.17, None), (0.225, "path: waypoint[0] is 25 km from the")]
+)
+def test_a_path_that_begins_far_away(
+    make_config: Callable[..., Config], north_deg: float, told: str | None
+) -> None:
+    """Its other waypoints are with the vehicle."""
+    near = path("home", 30.0, 30.0)
+    first = msgspec.structs.replace(near.waypoint[0], lat_deg=HOME[0] + north_deg)
+    flown = msgspec.structs.replace(near, waypoint=(first, near.waypoint[1]))
+    config = msgspec.structs.replace(make_config(use="watch"), path=flown)
+    found = lines(lambda preflight: judge_places(config, *HOME, preflight))
+    assert [text.startswith(told or "-") for _, text in found] == [True] * (told is not None)
+
+
+@pytest.mark.parametrize(
     ("flown", "limits", "told"),
     [
         (path("home", 30.0, 40.0), {}, None),
         (path("home", 0.0, 40.0), {}, None),
-        (path("home", -20.0, 40.0), {}, "20 m below home, and so is the floor"),
+        (path("home", -20.0, 40.0), {}, "is 20 m below home, and so is the floor"),
         (path("home", -20.0, 40.0), {"floor_height_m": -30.0}, None),
         (path("home", 30.0, 40.0), {"floor_height_m": 35.0}, "limits.floor_height_m is 35 m"),
         (path("home", 30.0, 40.0), {"ceiling_height_m": 35.0}, "limits.ceiling_height_m is 35 m"),
         # Heights above home, written down as heights above the sea.
-        (path("msl", 30.0, 40.0), {}, "458 m below home"),
+        (path("msl", 30.0, 40.0), {}, "is 458 m below home"),
         (path("msl", 518.0, 528.0), {"floor_height_m": 20.0, "ceiling_height_m": 60.0}, None),
         (path("geodetic", 30.0, 40.0), {}, None),
     ],
