@@ -87,7 +87,7 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     growth_mps: float = 0.0
     """How fast its horizontal position deviates from its predictions (`kernels.Past`)."""
     silent: bool = False
-    """True: not received for so long that it may have stopped (`kernels.silent_after`)."""
+    """True: it may have stopped, because it is `unheard` or reports that it has no position."""
     share: float = 0.5
     """Our share of the velocity change that avoids it, 0.5 to 1 (`right_of_way`)."""
     vertical_known: bool = True
@@ -121,6 +121,8 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     relative: bool = False
     """True: its position was measured from ours. Then the error of our position plays no part, and `sigma_m`
     is that of the measurement."""
+    unheard: bool = False
+    """True: not received for some time (`kernels.silent_after`)."""
 
 
 @dataclass(frozen=True, slots=True)

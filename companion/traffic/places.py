@@ -54,7 +54,7 @@ def neighbours_of(
             t.sigma_m + t.wander.error_m / SIGMAS,
             t.sigma_mps,
             t.past.growth_mps,
-            now_s - t.received_s > t.silent_after_s,
+            t.unlocated or now_s - t.received_s > t.silent_after_s,
             share_of(own_rank, _rank(t)),
             t.vertical_known,
             proven=t.proven,
@@ -63,6 +63,7 @@ def neighbours_of(
             together=t.together,
             split=t.track_id != t.identity,
             known_s=now_s - t.opened_s,
+            unheard=now_s - t.received_s > t.silent_after_s,
         )
         for t in tracks
     ]

@@ -115,8 +115,7 @@ each time."""
 
 @dataclass(slots=True, eq=False)
 class Track:
-    """One aircraft as last received; position and velocity are local NED at `sample_s` (our monotonic
-    time)."""
+    """One aircraft as last received; position and velocity are NED at `sample_s` (our monotonic time)."""
 
     track_id: str
     identity: str
@@ -183,13 +182,15 @@ class Track:
     """Memory of `kernels.note_track`."""
     silent_after_s: float = math.inf
     """Time since the last reception from which it counts as silent (`kernels.silent_after`)."""
+    unlocated: bool = False
+    """Whether it has sent a Location without a position since it last sent one with a position."""
     past_vertical: bool = False
     """Whether `past` includes heights."""
     past_clocked: bool = False
     """Whether the times in `past` are from the sender's clock."""
 
     def take_over(self, other: Track) -> None:
-        """Merge another track of this aircraft, received on another transport before its Basic ID arrived."""
+        """Merge another track of this aircraft, received on another transport before its Basic ID."""
         self.sources.extend(key for key in other.sources if key not in self.sources)
         self.fed_by |= other.fed_by
         self.messages += other.messages
@@ -199,6 +200,7 @@ class Track:
             self.velocity_known, self.vertical_known = other.velocity_known, other.vertical_known
             self.sample_s, self.received_s = other.sample_s, max(self.received_s, other.received_s)
             self.sigma_m, self.sigma_mps, self.content = other.sigma_m, other.sigma_mps, other.content
+        self.unlocated = self.unlocated or other.unlocated
 
     def as_fix(self) -> Fix:
         """The message that its state is from."""

@@ -311,6 +311,7 @@ class Traffic:
             self.counts.implausible += 1
             bad.append(Flag.IMPOSSIBLE_VALUES)
         for track in self._of(source):
+            track.unlocated = track.unlocated or fix is None
             self._judge.note(track, bad)
 
     def _take(self, source: Source, fix: Fix, now_s: float) -> Track | None:
@@ -363,7 +364,7 @@ class Traffic:
         track.velocity_known = velocity_known
         track.sample_s, track.received_s = sample_s, now_s
         track.sigma_m, track.sigma_mps, track.content = fix.sigma_m, fix.sigma_mps, fix.content
-        track.vertical_known = fix.vertical_known
+        track.vertical_known, track.unlocated = fix.vertical_known, False
         track.remember(fix)
         track.believe(fix, now_s, self._loss_s)
         track.messages += 1

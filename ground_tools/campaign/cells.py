@@ -50,6 +50,7 @@ WORLDS = {
     "velocity": World(own_sigma_mps=0.3),
     "layer": World(floor_m=70.0, ceiling_m=130.0),
     "blackout": World(blackout_s=10.0),
+    "mute": World(blackout_s=10.0, mute=True),
     # One fence beside the paths; only for encounters whose paths all run along one line.
     "fence": World(),
     "all": World(gust_mps2=0.6, clock_s=0.5, own_sigma_mps=0.3, floor_m=70.0, ceiling_m=130.0),

@@ -48,6 +48,7 @@ from ground_tools.campaign.vehicles import (
     TURNING,
     Fleet,
     begin,
+    blackout,
     move,
     on_the_ground,
     send,
@@ -59,9 +60,6 @@ _TURN_S = 4.0
 """Time between two random changes of course of a turning aircraft."""
 _TURN_RAD = math.radians(60.0)
 """Largest angle by which a turning aircraft turns away from its course to the path."""
-_BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S = 15.0, 5.0
-"""A loss of GNSS begins at a random time from the first before to the second after the middle of the
-flight."""
 _FIT_AGAIN_S = 4.0
 """Time from the return of GNSS to the next command: the companion waits for a steady state and then takes
 control of the vehicle again."""
@@ -73,7 +71,7 @@ class Mind(NamedTuple):
     heard: Floats
     """(receiver, sender, MESSAGE_COLUMNS): the latest message."""
     got: Floats
-    """(receiver, sender): when the latest message was received."""
+    """(receiver, sender): when the latest message was received; -inf after one without a position."""
     turn_rps: Floats
     """(receiver, sender): turn rate as received."""
     pasts: Floats
@@ -186,7 +184,7 @@ def fly(
         powers = unmeasured(power_rng, world, fleet)
     craft, tally = on_the_ground(fleet, world), nothing_yet(fleet, pairs, result)
     mind, work = _new_mind(fleet, settings), k.workspace(len(fence), 2 * fleet)
-    dark, dark_from = _blackout(rng, world, kinds)
+    dark, dark_from = blackout(rng, world, kinds)
     begin(rng, world, path_times, path_points, kinds, craft)
     (loop or _fly)(
         rng, world, path_times, path_points, fence, settings, kinds, trace, log, pairs, result, craft, tally,
@@ -227,8 +225,12 @@ def loop_of(
         blacked = now >= dark_from and now < dark_from + world.blackout_s
         unfit = now >= dark_from and now < dark_from + world.blackout_s + _FIT_AGAIN_S
         for i in range(len(kinds)):
-            if (tick + craft.phase[i]) % message_every == 0 and not (i == dark and blacked):
+            unlocated = i == dark and blacked
+            if (tick + craft.phase[i]) % message_every == 0 and not (unlocated and world.mute != 0.0):
                 slot = send(rng, world, tick, i, kinds, craft)
+                if unlocated:
+                    craft.sent[i, slot, M_POSITION] = math.nan
+                    continue
                 for c in range(MESSAGE_COLUMNS):
                     mind.heard[i, i, c] = craft.sent[i, slot, c]
         if world.signal != 0.0:
@@ -313,18 +315,6 @@ def _fly(
     )  # fmt: skip
 
 
-def _blackout(rng: np.random.Generator, world: Conditions, kinds: Floats) -> tuple[int, float]:
-    """Index of the aircraft that loses GNSS (-1: none), and the time at which it does."""
-    dark, dark_from = -1, math.inf
-    if world.blackout_s > 0.0:
-        dark = int(rng.integers(0, len(kinds)))
-        middle = 0.5 * (world.start_s + world.end_s)
-        dark_from = middle + rng.uniform(-_BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S)
-        if kinds[dark] != AVOIDS:
-            dark = -1
-    return dark, dark_from
-
-
 @_inlined
 def _own(world: Conditions, now: float, i: int, craft: Fleet) -> k.Own:
     """The state of aircraft i as it knows it."""
@@ -384,6 +374,9 @@ def _receive(now: float, declared: float, i: int, craft: Fleet, mind: Mind) -> N
             if arrival[i, j, slot] <= now:
                 arrival[i, j, slot] = math.inf
                 if sent[j, slot, M_TIME] > heard[i, j, M_TIME]:
+                    if math.isnan(sent[j, slot, M_POSITION]):
+                        mind.got[i, j] = -math.inf
+                        continue
                     was, now_ = heard[i, j], sent[j, slot]
                     mind.turn_rps[i, j] = k.turn_rate(
                         mind.turn_rps[i, j], (was[4], was[5], was[6]), (now_[4], now_[5], now_[6]),

@@ -125,5 +125,6 @@ def measure_powers(
             if kinds[i] != AVOIDS or kinds[j] == CREWED or kinds[j] == BAROMETRIC:
                 continue
             for slot in range(arrival.shape[2]):
-                if before < arrival[i, j, slot] <= now and heard[i, j, M_TIME] > -math.inf:
+                located = heard[i, j, M_TIME] > -math.inf and not math.isnan(craft.sent[j, slot, M_POSITION])
+                if located and before < arrival[i, j, slot] <= now:
                     _measure_power(rng, world, now, i, j, craft, heard[i, j], powers)

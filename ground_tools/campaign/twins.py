@@ -102,7 +102,7 @@ def check(law: str, intruder: str | None, signal: bool, dark: bool) -> None:
 
     Args:
         intruder: kind of the intruders; None: there are none.
-        signal, dark: whether signal strength is weighed, and whether aircraft lose their GNSS.
+        signal, dark: whether signal strength is weighed, and whether aircraft lose their position.
 
     Raises:
         ConfigError: the law cannot fly it.
@@ -110,7 +110,7 @@ def check(law: str, intruder: str | None, signal: bool, dark: bool) -> None:
     known = ("blind", *vehicles.TWINS, *missions.MISSIONS)
     if signal or dark or (intruder is not None and intruder not in known):
         raise ConfigError(
-            f"--law {law}: the law of a plug-in cannot be combined with --signal, --world blackout, or "
+            f"--law {law}: the law of a plug-in cannot be combined with --signal, --world blackout or mute, or "
             f"intruders other than {', '.join(known)}"
         )
 

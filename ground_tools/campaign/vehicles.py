@@ -36,6 +36,8 @@ INTRUDERS = {
 TWINS = {"twin": TWIN, "clone": CLONE, "own-twin": OWN_TWIN, "own-clone": OWN_CLONE}
 # Columns of a message: its time (s), position, velocity.
 M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
+_BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S = 15.0, 5.0
+"""A blackout begins at a random time from the first before to the second after the middle of the flight."""
 
 _compiled = compiled()
 _inlined = compiled(forceinline=True)
@@ -122,6 +124,18 @@ def begin(
         if kinds[i] == LIAR:
             craft.lie[i, 0] = world.lie_m * math.cos(bearing)
             craft.lie[i, 1] = world.lie_m * math.sin(bearing)
+
+
+def blackout(rng: np.random.Generator, world: Conditions, kinds: Floats) -> tuple[int, float]:
+    """Index of the aircraft that loses its position (-1: none), and the time (s) at which it does."""
+    dark, dark_from = -1, math.inf
+    if world.blackout_s > 0.0:
+        dark = int(rng.integers(0, len(kinds)))
+        middle = 0.5 * (world.start_s + world.end_s)
+        dark_from = middle + rng.uniform(-_BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S)
+        if kinds[dark] != AVOIDS:
+            dark = -1
+    return dark, dark_from
 
 
 @_compiled

@@ -47,7 +47,9 @@ class Conditions(NamedTuple):
     lie_m: float
     """Error of the position that a liar sends."""
     blackout_s: float
-    """Duration for which one aircraft has no GNSS."""
+    """Duration for which one aircraft has no position."""
+    mute: float
+    """0 or 1: whether that aircraft sends nothing meanwhile."""
     signal: float
     """0 or 1: whether receivers measure the power of messages."""
     sender_db: float
@@ -87,8 +89,10 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     silent_m: Annotated[float, Meta(ge=0)] = 100.0
     lie_m: Annotated[float, Meta(ge=0)] = 50.0
     blackout_s: Annotated[float, Meta(ge=0)] = 0.0
-    """Duration for which one avoiding aircraft has no GNSS, around the middle of the flight. During this time
-    it sends nothing, decides nothing and stands still."""
+    """Duration for which one avoiding aircraft has no position, around the middle of the flight. During this
+    time it sends messages without a position, decides nothing and stands still."""
+    mute: bool = False
+    """Whether that aircraft sends nothing during this time: its companion has failed, or its radios have."""
     signal: bool = False
     """Whether receivers measure the power of messages and weigh it (`companion.avoidance.kernels.powers`)."""
     sender_db: Annotated[float, Meta(ge=0)] = 4.0

@@ -70,9 +70,9 @@ class _Conflict:
     """Time at which the track last existed."""
     heard_s: float
     """Time of its last message."""
-    silent: bool = False
+    unheard: bool = False
     """Whether the track was not received for so long that its aircraft may have stopped
-    (`Neighbour.silent`)."""
+    (`Neighbour.unheard`)."""
     follows: bool = False
 
     def look(self, now_s: float, own: Vec3, place: Vec3, mps: Vec3) -> None:
@@ -122,7 +122,7 @@ class Followers:
         found = self._conflicts.get(key)
         if found is None:
             return False
-        found.seen_s, found.heard_s, found.silent = now_s, now_s - other.age_s, other.silent
+        found.seen_s, found.heard_s, found.unheard = now_s, now_s - other.age_s, other.unheard
         if other.age_s <= _FRESH_S and not found.follows:
             found.beside = _beside(own, own_mps, other)
         return found.follows and not found.over(now_s)
@@ -153,10 +153,10 @@ class Followers:
         """The earlier conflict that this one continues under another name. Its track had the same place
         beside us and has fallen silent since; a track that is still received cannot be the same aircraft."""
         for found in self._conflicts.values():
-            gone = found.silent or now_s - found.seen_s > _LASTS_S
+            gone = found.unheard or now_s - found.seen_s > _LASTS_S
             near = math.dist(heir.beside, found.beside) <= PUSHED_M
             if found is not heir and gone and near and 0.0 <= heir.named_s - found.heard_s <= _PAUSE_S:
-                found = replace(found, named_s=-math.inf, seen_s=now_s, heard_s=now_s, silent=False)
+                found = replace(found, named_s=-math.inf, seen_s=now_s, heard_s=now_s, unheard=False)
                 found.go_on(now_s, mps)
                 return found
         return None

@@ -86,7 +86,7 @@ class Remembered:
 
     def yields(self, now_s: float) -> bool:
         """Whether the track is avoided only as far as all others allow."""
-        stale = self.latest.silent and self.latest.together
+        stale = self.latest.unheard and self.latest.together
         return self.presses or self.appears(now_s) or stale
 
     def renewed(self, now_s: float, latest: Neighbour, place: Vec3) -> Remembered:

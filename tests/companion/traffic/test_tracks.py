@@ -11,7 +11,7 @@ import pytest
 from companion.avoidance import kernels
 from companion.avoidance.law import OLDEST_S
 from companion.config import TrafficConfig
-from companion.remote_id.messages import Location
+from companion.remote_id.messages import Location, Status
 from companion.traffic.fix import SIGMA_MOST_M, SIGMA_UNKNOWN_M
 from companion.traffic.matching import _follows
 from companion.traffic.plausibility import Flag
@@ -202,6 +202,19 @@ def test_no_position_no_track():
     listener.hear(10.0, basic("X"), Location(timestamp_s=10.0))
     assert not listener.tracks
     assert listener.traffic.counts.no_position == 1
+
+
+def test_an_aircraft_that_reports_no_position_any_more_may_have_stopped():
+    listener = Listener()
+    for k in range(4):
+        now = 10.0 + k
+        listener.hear(now, basic("X"), location(north_m=80.0 + 3.0 * k, timestamp_s=now))
+    listener.hear(13.1, Location(status=Status.REMOTE_ID_SYSTEM_FAILURE), address="elsewhere")
+    assert not listener.traffic.neighbours(13.2)[0].silent
+    listener.hear(13.2, basic("X"), Location(status=Status.REMOTE_ID_SYSTEM_FAILURE))
+    assert listener.traffic.neighbours(13.3)[0].silent
+    listener.hear(14.0, basic("X"), location(north_m=92.0, timestamp_s=14.0))
+    assert not listener.traffic.neighbours(14.1)[0].silent
 
 
 @pytest.mark.parametrize(("altitude", "separation"), [(None, SEPARATION_M), (447.0, None)])

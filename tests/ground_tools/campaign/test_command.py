@@ -251,10 +251,21 @@ def test_a_fence_needs_paths_along_one_line():
         fly(Cell(generator="circle", aircraft=4, world="fence"), [1])
 
 
-def test_an_aircraft_without_gnss_falls_behind_its_path():
+@pytest.mark.parametrize("world", ["blackout", "mute"])
+def test_an_aircraft_without_gnss_falls_behind_its_path(world):
     """An aircraft is away from its timed point for longer than in calm conditions, and by more than 15 m."""
-    dark = Cell(generator="random", aircraft=4, delay_s=(1.0, 2.0), world="blackout")
+    dark = Cell(generator="random", aircraft=4, delay_s=(1.0, 2.0), world=world)
     rows = fly(dark, range(1, 9))
     calm = fly(msgspec.structs.replace(dark, world="calm"), range(1, 9))
     assert all(a.away_s > b.away_s for a, b in zip(rows, calm, strict=True))
     assert all(row.deviation_m > 15.0 for row in rows)
+
+
+def test_an_aircraft_that_reports_the_loss_of_its_position_is_kept_clear_of():
+    """The seeds are those of 300 with the least separations from an aircraft that falls silent instead."""
+    told = Cell(generator="crossing", aircraft=5, delay_s=(1.0, 2.0), world="blackout")
+    mute = msgspec.structs.replace(told, world="mute")
+    told_m, mute_m = ([row.separation_m for row in fly(cell, [84, 95, 107, 154])] for cell in (told, mute))
+    assert min(mute_m) < 8.0
+    assert min(told_m) > 9.0
+    assert sum(told_m) > sum(mute_m) + 4.0

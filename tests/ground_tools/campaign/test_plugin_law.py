@@ -82,7 +82,7 @@ def test_a_law_that_fails_ends_the_campaign(capsys):
     ("options", "words"),
     [
         (["--signal"], "cannot be combined with --signal"),
-        (["--world", "blackout"], "cannot be combined with --signal, --world blackout"),
+        (["--world", "blackout"], "cannot be combined with --signal, --world blackout or mute"),
         (["--intruders", "0.5", "--intruder", "turning"], "intruders other than blind, twin, clone"),
         (["--worst", "1"], "--worst cannot be combined with --law aside"),
     ],

@@ -205,7 +205,7 @@ def test_who_falls_silent_when_the_other_one_is_long_there_has_no_heir(silent_af
         others = {"OTHER": (there, (7.0, 4.0, 0.0))}
         own = tuple(pair.own.tolist()), tuple(pair.own_mps.tolist())
         silent = pair.now_s - begun_s > silent_after_s
-        known = Neighbour("GHOST", tuple(there.tolist()), own[1], 0.0, 3.0, silent=silent)
+        known = Neighbour("GHOST", tuple(there.tolist()), own[1], 0.0, 3.0, silent=silent, unheard=silent)
         if step:
             pair.followers.hear(pair.now_s, "GHOST", *own, known)
             pair.followers._conflicts["GHOST"].heard_s = begun_s
@@ -247,7 +247,7 @@ def test_an_heir_that_falls_silent_itself_still_inherits_the_record():
         age_s = now_s - heard_s
         own, mps = tuple(pair.own.tolist()), tuple(pair.own_mps.tolist())
         place = pair.own + np.array([0.0, -20.0, 0.0]) - age_s * pair.own_mps
-        other = Neighbour(name, tuple(place.tolist()), mps, age_s, 3.0, silent=age_s > 2.0)
+        other = Neighbour(name, tuple(place.tolist()), mps, age_s, 3.0, unheard=age_s > 2.0)
         follows = pair.followers.hear(now_s, name, own, mps, other)
         pair.followers.conflict(now_s, name, own, mps, other)
         return follows
@@ -258,6 +258,6 @@ def test_an_heir_that_falls_silent_itself_still_inherits_the_record():
         # The old name's last message came at last_s, one of the new name's just before its conflict began.
         pair.followers.hear(now_s, "FIRST", tuple(pair.own.tolist()), tuple(pair.own_mps.tolist()),
                             Neighbour("FIRST", (0.0, 0.0, 0.0), (7.0, 4.0, 0.0), now_s - last_s, 3.0,
-                                      silent=now_s - last_s > 3.0))  # fmt: skip
+                                      unheard=now_s - last_s > 3.0))  # fmt: skip
         follows = conflict("SECOND", now_s, last_s + 0.4)
     assert follows

@@ -96,6 +96,8 @@ def test_a_silent_track_yields_if_it_appeared_in_a_burst(together):
     sky.run(5.0, other("A", at=(120.0, 0.0, 0.0), together=together))
     assert not sky.yielding
     assert sky.run(1.0, other("A", at=(40.0, 0.0, 0.0), together=together, silent=True)) == ["A"]
+    assert not sky.yielding, "it is heard, but reports no position"
+    assert sky.run(1.0, other("A", at=(40.0, 0.0, 0.0), together=together, unheard=True)) == ["A"]
     assert sky.yielding == ({"A"} if together else set())
 
 
