@@ -110,8 +110,8 @@ def check(law: str, intruder: str | None, signal: bool, dark: bool) -> None:
     known = ("blind", *vehicles.TWINS, *missions.MISSIONS)
     if signal or dark or (intruder is not None and intruder not in known):
         raise ConfigError(
-            f"--law {law}: the law of a plug-in cannot be combined with --signal, --world blackout or mute, or "
-            f"intruders other than {', '.join(known)}"
+            f"--law {law}: the law of a plug-in cannot be combined with --signal, --world blackout or mute, "
+            f"or intruders other than {', '.join(known)}"
         )
 
 
