@@ -154,8 +154,12 @@ class LegacyCommands:
     handle: Final = 0
 
     def load(self, frame: bytes) -> list[HciCommand]:
-        """Return the commands that load new data."""
-        return [packets.legacy_data(frame)]
+        """Return the commands that load new data.
+
+        The parameters are set for each frame. A controller that was reset would advertise as a connectable
+        device with its own address. Now it refuses, because it has lost the random address.
+        """
+        return [packets.legacy_parameters(), packets.legacy_data(frame)]
 
     def enable(self) -> HciCommand:
         """Return the command that starts events, 100 ms apart, until disabled."""

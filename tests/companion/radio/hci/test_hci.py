@@ -26,6 +26,7 @@ from tests.companion.radio.hci.controller import (
     DATA,
     EXTENDED,
     RESET,
+    SCAN_PARAMETERS,
     VERSION,
     Controller,
     TcpController,
@@ -265,7 +266,7 @@ def test_a_controller_that_dies_and_comes_back(start: Open) -> None:
 def test_a_controller_that_falls_silent_is_started_anew(start: Open, listen_only: bool) -> None:
     first = Controller()
     radio, server = start(first, Controller(), send=not listen_only)
-    first.silent = {VERSION, DATA}
+    first.silent = {VERSION, DATA, SCAN_PARAMETERS}
     if not listen_only:
         radio.broadcast(BLE5, MESSAGES, 0.0)
     until(lambda: server.connections == 2 and radio.health(0.0).ok)
