@@ -229,6 +229,29 @@ class OneSetBroken(Controller):
         return super()._answer(opcode, data)
 
 
+def test_a_controller_that_answers_too_slowly_counts_as_unable_until_it_has_sent() -> None:
+    host = Host(Controller(), listen=False)
+    host.broadcast(BLE4, LOCATION)
+    for _ in range(2):  # the answers to Data and Enable
+        (command,) = host.session.packets()
+        host.now_s += 0.49
+        host.session.tick(host.now_s)
+        assert host.session.can_send == {BLE4, BLE5}
+        answer = host.controller.feed(command)
+        host.session.receive(answer, host.now_s)
+    assert host.counts.sent == 1
+    host.broadcast(BLE4, LOCATION)
+    (command,) = host.session.packets()
+    assert host.session.next_s <= host.now_s + 1.0
+    host.now_s += 1.0
+    host.session.tick(host.now_s)
+    assert host.session.can_send == {BLE5}
+    assert host.session.trouble == "BLE 4: a frame takes longer than 1 s"
+    host.session.receive(host.controller.feed(command), host.now_s)
+    host.run()
+    assert (host.counts.sent, host.session.can_send) == (2, {BLE4, BLE5})
+
+
 def test_a_set_that_does_not_work_costs_no_other() -> None:
     host = Host(OneSetBroken())
     for _ in range(20):
