@@ -30,7 +30,7 @@ from companion.remote_id.messages import Message
 from companion.remote_id.transports import WIFI_BEACON, WIFI_NAN
 
 SYNC_PERIOD_S: Final = 512 * 1024e-6
-"""NAN period: a synchronisation beacon every 512 TU."""
+"""NAN period: the longest time between two synchronisation beacons, 512 TU."""
 _NAN_IN_USE_S: Final = 3.0
 """Synchronisation continues for this long after the last NAN broadcast."""
 _RATE_2_4_GHZ: Final = 2
@@ -156,8 +156,9 @@ class WifiTransport:
                 self._lately.append(element)
             return
         frames = self._sender.frames(transport, messages)
-        if transport == WIFI_NAN:
-            self._nan_s = now_s
+        if transport == WIFI_NAN and frames:
+            # Receivers listen right after a synchronisation beacon, so the frames follow one of their own.
+            self._nan_s, self._sync_s = now_s, None
             self._synchronise(now_s)
         for frame in frames:
             self._lately.append(frame[_TSF_AT + 8 :])

@@ -17,7 +17,7 @@ from companion.radio.wifi import packet_socket, wifi_radio
 from companion.radio.wifi.hostapd import ApStatus
 from companion.radio.wifi.packet_socket import PacketSocket, channel_of, check_monitor, tuned_channel
 from companion.radio.wifi.section import WifiRadio
-from companion.radio.wifi.wifi_radio import SYNC_PERIOD_S, WifiTransport, stamp
+from companion.radio.wifi.wifi_radio import WifiTransport, stamp
 from companion.remote_id.captures.radiotap import build_radiotap
 from companion.remote_id.codec import encode_pack
 from companion.remote_id.frames import (
@@ -119,7 +119,7 @@ def test_a_stamp_touches_nothing_else() -> None:
     assert stamp(beacon, 0, -1)[24:32] == b"\xff" * 8
 
 
-def test_synchronisation_keeps_its_grid(opened: Callable[..., WifiTransport]) -> None:
+def test_every_action_frame_follows_a_synchronisation_beacon(opened: Callable[..., WifiTransport]) -> None:
     radio = opened(inject="w")
     frames = radio._inject.sent  # type: ignore[union-attr]
     for n in range(200):
@@ -127,8 +127,8 @@ def test_synchronisation_keeps_its_grid(opened: Callable[..., WifiTransport]) ->
             radio.broadcast("nan", MESSAGES, n * 0.05)
         radio.heard(n * 0.05)
     kinds = [frame[12] for frame in frames]
-    assert kinds.count(0xD0) == 10
-    assert kinds.count(0x80) == 1 + int(199 * 0.05 / SYNC_PERIOD_S)
+    # With one action frame a second, another beacon is due in between.
+    assert kinds == [0x80, 0xD0, 0x80] * 10
     assert frames[0] == build_radiotap() + stamp(build_nan_sync_beacon(OWN), 0, 0)
     for n in range(200, 400):
         radio.heard(n * 0.05)
