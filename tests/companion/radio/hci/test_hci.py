@@ -312,9 +312,13 @@ def test_a_controller_that_refuses_everything_is_reset(start: Open) -> None:
 def test_a_lesser_controller_that_comes_back_sends_what_it_can(start: Open) -> None:
     radio, server = start(Controller(), Controller(features=EXTENDED))
     server.die()
-    until(lambda: server.connections == 2 and radio.health(0.0).ok)
+    until(lambda: server.connections == 2 and radio.health(0.0).can_send)
     assert radio.capabilities == {BLE4, BLE5}
-    assert radio.health(0.0).can_send == radio.hears == {BLE4}
+    health = radio.health(0.0)
+    assert health.can_send == radio.hears == {BLE4}
+    assert not health.ok
+    assert "no BLE 5 Long Range since it was reopened; " in health.text
+    assert "this controller has no LE Coded PHY" in health.text
 
 
 @pytest.mark.usefixtures("impatient")
