@@ -136,7 +136,7 @@ def test_what_is_no_hearing_is_left_out_and_what_is_bad_is_counted(tap: Tap, rad
 
 @needs_tap
 def test_a_flood_is_taken_in_portions_and_losses_are_told(tap: Tap, radio: WifiTransport) -> None:
-    frame = captured(build_beacon(encode_pack(FULL), 0, OTHER))
+    frame = captured(build_beacon(encode_pack(FULL[:5]), 0, OTHER))
     sent = 8000
     for _ in range(sent):
         tap.put(frame)
@@ -234,6 +234,15 @@ def test_the_kernel_hands_over_what_others_sent_and_can_carry_remote_id(tap: Tap
     assert sender.receive() == []
     listener.close()
     sender.close()
+
+
+@needs_tap
+def test_long_frames_are_taken_in_smaller_portions(tap: Tap, radio: WifiTransport) -> None:
+    """A frame of empty elements takes forty times as long to read as an ordinary one."""
+    frame = captured(build_beacon(encode_pack((SELF_ID,)), 0, OTHER) + bytes(2) * 1000)
+    for _ in range(100):
+        tap.put(frame)
+    assert len(radio.heard(0.0)) == -(-(1 << 16) // len(frame))
 
 
 @needs_tap
