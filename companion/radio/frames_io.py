@@ -28,6 +28,9 @@ from companion.remote_id.messages import Message
 from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 
 TRANSPORTS = frozenset((BLE4, BLE5, WIFI_BEACON, WIFI_NAN))
+_MOST_STRUCTURES = 4
+"""Most Remote ID structures that are read of one frame. Transmitters send one. A forged beacon has room for
+hundreds, and frames of that kind could hold up the flight loop."""
 
 
 def radio_address(identity: str) -> str:
@@ -96,7 +99,7 @@ class FrameReceiver:
         """Return the event of one frame; None if it holds no readable message.
 
         The valid messages of a damaged pack are returned, so that one bad message does not hide an aircraft.
-        If a frame holds several Remote ID structures, the event contains the messages of all.
+        If a frame holds several Remote ID structures, the event contains the messages of the first four.
 
         Args:
             transport: One of `TRANSPORTS`. Another value raises ValueError.
@@ -142,10 +145,12 @@ class FrameReceiver:
 
 
 def _read_all(frames: Sequence[Frame]) -> Payload:
-    """Return the messages of all Remote ID structures of a frame. Repeats across structures are dropped."""
+    """Return the messages of the Remote ID structures of a frame. Repeats across structures are dropped."""
     messages: list[Message] = []
     faults: list[str] = []
-    for frame in frames:
+    if len(frames) > _MOST_STRUCTURES:
+        faults.append(f"{len(frames)} Remote ID structures in one frame; read: {_MOST_STRUCTURES}")
+    for frame in frames[:_MOST_STRUCTURES]:
         try:
             payload = read_payload(frame.payload)
         except PeerDataError as error:

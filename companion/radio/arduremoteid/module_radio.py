@@ -8,7 +8,8 @@ We feed Basic ID, Location, System, Self ID and Operator ID. The module reports 
 them are fresh (Location and System 3 s, the others 22 s). Without a Self ID or Operator ID from the caller,
 empty ones are fed; they count as fresh and are not broadcast. Location and System go on the air only if their
 timestamp is not 0. A Location of the full hour is therefore dated 3600.0, the end of the previous hour.
-Authentication is not fed, because the firmware never broadcasts it.
+Authentication is not fed, because the firmware never broadcasts it. The firmware cuts identities at the first
+zero byte, and stores them so. Nothing is fed with an identity that holds one, as every DRIP entity tag does.
 """
 
 from __future__ import annotations
@@ -21,12 +22,7 @@ import msgspec
 
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
-from companion.radio.arduremoteid.module_messages import (
-    ARM_STATUS_WORDS,
-    PARAMETERS,
-    SILENT_AFTER_S,
-    Module,
-)
+from companion.radio.arduremoteid.module_messages import ARM_STATUS_WORDS, PARAMETERS, SILENT_AFTER_S, Module
 from companion.radio.arduremoteid.section import ArduRemoteIdRadio
 from companion.radio.radio import ByteLink, Health, RadioContext
 from companion.remote_id.mavlink import COMPONENT_ID, encode_odid
@@ -103,6 +99,8 @@ class ArduRemoteIdTransport:
         self._first_s: float | None = None
         self._fed: dict[object, tuple[float, Message]] = {}
         self._undated = False
+        self._unfit = False
+        """Whether the identity of the last broadcast holds a zero byte."""
         self._sent = 0
         try:
             self._open()
@@ -184,6 +182,9 @@ class ArduRemoteIdTransport:
             )
         given = [_Feed(_key(m), m, self._encoded(m)) for m in messages if not isinstance(m, Authentication)]
         self._exchange(now_s)
+        self._unfit = any(isinstance(m, BasicId) and "\0" in m.uas_id for m in messages)
+        if self._unfit:
+            return
         if self._first_s is None:
             self._first_s = now_s
         fresh = [feed for feed in given if self._is_new(feed, now_s)]
@@ -208,7 +209,7 @@ class ArduRemoteIdTransport:
         """
         alive = self._module.alive(now_s)
         waiting = self._waiting
-        can_send = self._on - waiting if alive else frozenset()
+        can_send = self._on - waiting if alive and not self._unfit else frozenset()
         wrong = self._wrong(now_s)
         ready = self._good(now_s)
         parts = wrong or ["module sends" if ready else "module answers but has not confirmed anything yet"]
@@ -374,6 +375,8 @@ class ArduRemoteIdTransport:
         if not module.alive(now_s):
             return [f"module silent for {now_s - (module.heard_s or 0.0):.0f} s"]
         wrong = []
+        if self._unfit:
+            wrong.append("the module cuts identities at a zero byte, and this aircraft's holds one")
         if waiting := self._waiting:
             wrong.append(f"power-cycle the module: {self._named(waiting)} was switched on and starts with it")
         if lost := self._wanted - self._on:

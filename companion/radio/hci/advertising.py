@@ -27,6 +27,9 @@ _LEGACY_EVENT_S: Final = 0.125
 """Legacy advertising has no event count and is switched off by a command. It begins at once or after the
 first interval of 100 ms, depending on the controller. A frame is therefore sent once or twice, with the same
 counter."""
+_SLOW_S: Final = 1.0
+"""A set that needs longer than this for a frame is in trouble until it is done with it. Regions require a
+Location every second. A UART that received frames fill holds up the answers to commands, for instance."""
 _FORGIVEN_S: Final = 5.0
 """A trouble is cleared after this time, so that the set may be tried again."""
 _SENT: Final = frozenset((Status.SUCCESS, Status.ADVERTISING_TIMEOUT, Status.LIMIT_REACHED))
@@ -154,8 +157,12 @@ class LegacyCommands:
     handle: Final = 0
 
     def load(self, frame: bytes) -> list[HciCommand]:
-        """Return the commands that load new data."""
-        return [packets.legacy_data(frame)]
+        """Return the commands that load new data.
+
+        The parameters are set for each frame. A controller that was reset would advertise as a connectable
+        device with its own address. Now it refuses, because it has lost the random address.
+        """
+        return [packets.legacy_parameters(), packets.legacy_data(frame)]
 
     def enable(self) -> HciCommand:
         """Return the command that starts events, 100 ms apart, until disabled."""
@@ -211,11 +218,15 @@ class AdvertisingSet:
         self._state = _State.IDLE
         self._to_load: list[HciCommand] = []
         self._until_s = float("inf")
+        self._slow_s = float("inf")
+        """Time at which the frame that is being sent has taken too long."""
 
     @property
     def next_s(self) -> float:
         """Latest time for the next call of `advance`."""
-        return self._until_s if self._state is _State.ON_AIR else float("inf")
+        if self._state is _State.IDLE:
+            return float("inf")
+        return min(self._until_s if self._state is _State.ON_AIR else float("inf"), self._slow_s)
 
     def advance(self, now_s: float) -> None:
         """Start the next frame, or end one whose time is over."""
@@ -224,9 +235,14 @@ class AdvertisingSet:
         if self._state is _State.IDLE:
             frame = self.queue.pop_frame()
             if frame is not None:
+                self._slow_s = now_s + _SLOW_S
                 self._to_load = self._commands.load(frame)
                 self._load()
-        elif self._state is _State.ON_AIR and now_s >= self._until_s:
+            return
+        if now_s >= self._slow_s:
+            self._slow_s = float("inf")
+            self._note(f"{NAMES[self.transport]}: a frame takes longer than {_SLOW_S:g} s", now_s)
+        if self._state is _State.ON_AIR and now_s >= self._until_s:
             if self._commands.confirms:
                 self._counts.unconfirmed += 1
                 self._note(f"{NAMES[self.transport]}: advertising was not confirmed", now_s)

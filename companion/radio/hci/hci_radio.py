@@ -198,7 +198,7 @@ class HciTransport:
         with self._lock:
             link = self._link
             failure = self._lost if link is None else link.session.failure
-            trouble = None if link is None else link.session.trouble
+            trouble = None if link is None else link.session.trouble or self._loss(link.session)
             can_send = frozenset() if link is None else link.session.can_send
             counts = self._counts
             sent, lost, refused = counts.sent, counts.lost, counts.refused
@@ -234,6 +234,14 @@ class HciTransport:
         self._thread.join(_JOIN_S)
         if not self._thread.is_alive():
             self._close_wakers()
+
+    def _loss(self, session: HciSession) -> str | None:
+        """What a controller that was reopened lacks of what it had at first."""
+        lost = self._capabilities - session.sets.keys() if session.failure is None else frozenset()
+        if not lost:
+            return None
+        what = " and ".join(NAMES[name] for name in sorted(lost))
+        return "; ".join((f"no {what} since it was reopened", *session.abilities.missing))
 
     def _state(self, failure: str | None, trouble: str | None) -> str:
         where = f"Bluetooth controller on {self._name}"

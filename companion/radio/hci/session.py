@@ -33,7 +33,7 @@ _RESET_S: Final = 1.0
 _RESET_TRIES: Final = 3
 """The first Reset may be lost in a stream that is out of step."""
 _ALIVE_S: Final = 2.0
-"""After this much silence a command is sent to check whether the controller still answers."""
+"""After this much silence a command is sent to check whether the controller still answers and scans."""
 _MAX_GARBAGE: Final = 4096
 _MAX_TROUBLES: Final = 3
 """After this many frames in a row that were not sent, the session restarts with a Reset. It does not restart
@@ -75,6 +75,7 @@ class HciSession:
         self._credit = 1
         self._answer_by_s = float("inf")
         self._alive_s = now_s
+        """Time of the last event; of the last report, if it can be checked whether the controller scans."""
         self._resets_sent = 1
         self._reset_answered = False
         self._output: list[bytes] = []
@@ -131,12 +132,13 @@ class HciSession:
         events = self._reader.feed(data)
         self._counts.garbage += self._reader.dropped - before
         for packet in events:
-            self._alive_s = now_s
             try:
                 event = parse_event(packet)
             except PeerDataError:
                 self._counts.malformed += 1
                 continue
+            if self.abilities.scan_check is None or isinstance(event, Reports):
+                self._alive_s = now_s
             match event:
                 case CommandResult():
                     self._result(event, now_s)
@@ -165,8 +167,14 @@ class HciSession:
                 self._fail(f"{each.trouble}, {each.troubles_in_row} times in a row")
         if self._is_idle and now_s - self._alive_s >= _ALIVE_S:
             self._alive_s = now_s
-            self._submit(HciCommand(Opcode.READ_LOCAL_VERSION_INFORMATION), lambda status, now_s: None)
+            check = self.abilities.scan_check or HciCommand(Opcode.READ_LOCAL_VERSION_INFORMATION)
+            self._waiting.append((check, self._checked))
         self._next_command(now_s)
+
+    def _checked(self, result: CommandResult, now_s: float) -> None:
+        # A controller that was reset answers as before, but neither scans nor knows its event mask.
+        if self.abilities.scan_check is not None and result.status == Status.SUCCESS:
+            self._fail("it no longer scans: it was reset")
 
     def _another_works(self, troubled: AdvertisingSet, now_s: float) -> bool:
         since_s = max(troubled.troubled_since_s, now_s - _IN_USE_S)

@@ -12,7 +12,7 @@ from typing import Final
 from companion.errors import PeerDataError
 from companion.radio.hci import packets
 from companion.radio.hci.advertising import NAMES, LegacyCommands, SetCommands
-from companion.radio.hci.packets import HciCommand, Opcode, Phy, status_words
+from companion.radio.hci.packets import HciCommand, Opcode, Phy, Status, status_words
 from companion.remote_id.codec import MESSAGE_SIZE, PACK_HEADER_SIZE, PACK_MAX_MESSAGES
 from companion.remote_id.transports import BLE4, BLE5
 
@@ -40,6 +40,7 @@ class RefusedError(Exception):
 
     def __init__(self, command: HciCommand, status: int) -> None:
         super().__init__(f"{command.opcode.words}: {status_words(status)}")
+        self.status = status
 
 
 @dataclass(slots=True)
@@ -53,6 +54,9 @@ class Abilities:
     sets: dict[str, SetCommands | LegacyCommands] = field(default_factory=dict)
     """Commands that send on each transport."""
     hears: frozenset[str] = frozenset()
+    scan_check: HciCommand | None = None
+    """Command that this controller refuses while it scans (sections 7.8.10 and 7.8.64), and accepts if it no
+    longer does, because it was reset; None if it does not scan or does not refuse."""
     missing: list[str] = field(default_factory=list)
     """One sentence for each function that needs other hardware."""
 
@@ -130,19 +134,32 @@ def _set_up_legacy(can: Abilities, commands: bytes) -> Script:
 
 def _scan_extended(can: Abilities) -> Script:
     if can.coded:
-        yield packets.scan_parameters((Phy.LE_1M, Phy.CODED), _SCAN_INTERVAL, _HALF_WINDOW)
+        parameters = packets.scan_parameters((Phy.LE_1M, Phy.CODED), _SCAN_INTERVAL, _HALF_WINDOW)
     else:
-        yield packets.scan_parameters((Phy.LE_1M,), _SCAN_INTERVAL, _SCAN_INTERVAL)
+        parameters = packets.scan_parameters((Phy.LE_1M,), _SCAN_INTERVAL, _SCAN_INTERVAL)
+    yield parameters
     yield packets.scan_enable()
+    yield from _find_scan_check(can, parameters)
     can.hears = frozenset((BLE4, BLE5) if can.coded else (BLE4,))
 
 
 def _scan_legacy(can: Abilities, commands: bytes) -> Script:
     if not _has(commands, _LEGACY_SCAN):
         raise PeerDataError("this controller cannot scan; use another, or set listen = false")
-    yield packets.legacy_scan_parameters(_SCAN_INTERVAL, _SCAN_INTERVAL)
+    parameters = packets.legacy_scan_parameters(_SCAN_INTERVAL, _SCAN_INTERVAL)
+    yield parameters
     yield packets.legacy_scan_enable()
+    yield from _find_scan_check(can, parameters)
     can.hears = frozenset((BLE4,))
+
+
+def _find_scan_check(can: Abilities, parameters: HciCommand) -> Script:
+    """Learn whether the controller refuses scan parameters while it scans, as the standard requires."""
+    try:
+        yield parameters
+    except RefusedError as error:
+        if error.status == Status.COMMAND_DISALLOWED:
+            can.scan_check = parameters
 
 
 def _has(commands: bytes, bits: Sequence[tuple[int, int]]) -> bool:

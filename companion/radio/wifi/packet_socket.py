@@ -1,7 +1,9 @@
 """A raw socket on a monitor interface (packet(7)), for 802.11 frames with radiotap header in both directions.
 
-Opening checks whether the interface supports this, and reports problems in words that say what to do. An
-interface that vanishes or goes down in flight is opened again when it is back.
+Opening checks whether the interface supports this, and reports problems in words that say what to do. The
+interface is checked again once a second, because a socket sends into one that another program has put into
+another mode, or on another channel, without any error. An interface that vanishes or goes down in flight is
+opened again when it is back.
 """
 
 from __future__ import annotations
@@ -33,10 +35,15 @@ _SYSFS: Final = Path("/sys/class/net")
 _MAX_FRAME: Final = 1 << 16
 _MAX_READS: Final = 256
 """Maximum number of frames read per call, so that a busy channel does not hold up the loop."""
+_MAX_BYTES: Final = 1 << 16
+"""No more frames are read after this many bytes. A forged frame of 2,300 bytes holds a thousand elements and
+takes forty times as long to read as an ordinary one."""
 _RECEIVE_BUFFER: Final = 1 << 20
-_RETRY_S: Final = 1.0
+_LOOK_S: Final = 1.0
 _OVERLOAD: Final = frozenset((errno.EAGAIN, errno.ENOBUFS))
-"""Errors after which the frame is lost but the interface still works."""
+"""Errors after which the frame is lost, but the interface still works if it takes frames again soon."""
+_FULL_S: Final = 1.0
+"""An interface that took no frame for this long is in trouble: its queue no longer empties."""
 
 _FILTER: Final = (
     (0x20, 0, 0, 0xFFFFF004),  # packet type
@@ -79,38 +86,58 @@ class PacketSocket:
         self._key = key
         self._channel = channel
         self._listen = listen
-        self._tried_s: float | None = None
+        self._looked_s: float | None = None
+        self._full_since_s: float | None = None
+        """Time of the first frame that was refused since one was last accepted."""
         self._socket = self._open()
 
-    def keep_open(self, now_s: float) -> None:
-        """Try once a second to reopen a lost interface."""
-        if self.trouble is None or (self._tried_s is not None and now_s - self._tried_s < _RETRY_S):
+    def keep_open(self, now_s: float, channel: int) -> None:
+        """Check the interface once a second, and try to reopen a lost one.
+
+        Args:
+            channel: Channel that it must be tuned to now, if the driver reports it.
+        """
+        self._channel = channel
+        if self._looked_s is not None and now_s - self._looked_s < _LOOK_S:
             return
-        self._tried_s = now_s
+        self._looked_s = now_s
         try:
+            if self.trouble is None:
+                _examine(self._key, self.interface, channel)
+                return
             fresh = self._open()
+        except OSError:
+            return  # no file descriptor or memory left: that says nothing about the interface
         except ConfigError as error:
             self.trouble = str(error)
             return
         self._socket.close()
         self._socket, self.trouble = fresh, None
 
-    def send(self, data: bytes) -> bool:
+    def send(self, data: bytes, now_s: float) -> bool:
         """Send a frame with its radiotap header. Return False if the interface did not accept it."""
         try:
             self._socket.send(data)
         except OSError as error:
             if error.errno not in _OVERLOAD:
                 self._lost(error)
+                return False
+            if self._full_since_s is None:
+                self._full_since_s = now_s
+            elif now_s - self._full_since_s >= _FULL_S:
+                self._lost(error)
             return False
+        self._full_since_s = None
         return True
 
     def receive(self) -> list[bytes]:
         """Return the frames (with radiotap header) that arrived since the last call, up to a limit."""
         frames: list[bytes] = []
-        while len(frames) < _MAX_READS:
+        size = 0
+        while len(frames) < _MAX_READS and size < _MAX_BYTES:
             try:
                 frames.append(self._socket.recv(_MAX_FRAME))
+                size += len(frames[-1])
             except BlockingIOError:
                 break
             except OSError as error:
@@ -165,17 +192,20 @@ def check_monitor(key: str, interface: str, channel: int) -> None:
         ConfigError: a check failed. The text says which one, and the command that fixes it.
     """
     try:
-        names = [name for _, name in socket.if_nameindex()]
-        if interface not in names:
-            raise ConfigError(
-                f"{key}: there is no network interface {interface!r}; allowed: {', '.join(names)}"
-            )
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
-            hardware = _ask(control, _SIOCGIFHWADDR, interface)
-            flags = _ask(control, _SIOCGIFFLAGS, interface)
-            frequency = _ask(control, _SIOCGIWFREQ, interface)
+        _examine(key, interface, channel)
     except OSError as error:  # no file descriptor or memory left
         raise ConfigError(f"{key}: {interface!r}: cannot be examined: {error.strerror}") from error
+
+
+def _examine(key: str, interface: str, channel: int) -> None:
+    """Same as `check_monitor`, but raises OSError if the interface cannot be examined."""
+    names = [name for _, name in socket.if_nameindex()]
+    if interface not in names:
+        raise ConfigError(f"{key}: there is no network interface {interface!r}; allowed: {', '.join(names)}")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
+        hardware = _ask(control, _SIOCGIFHWADDR, interface)
+        flags = _ask(control, _SIOCGIFFLAGS, interface)
+        frequency = _ask(control, _SIOCGIWFREQ, interface)
     if hardware is None or flags is None:
         raise ConfigError(f"{key}: {interface!r} vanished while it was examined")
     kind = struct.unpack_from("H", hardware, 16)[0]

@@ -30,7 +30,7 @@ from companion.remote_id.messages import Message
 from companion.remote_id.transports import WIFI_BEACON, WIFI_NAN
 
 SYNC_PERIOD_S: Final = 512 * 1024e-6
-"""NAN period: a synchronisation beacon every 512 TU."""
+"""NAN period: the longest time between two synchronisation beacons, 512 TU."""
 _NAN_IN_USE_S: Final = 3.0
 """Synchronisation continues for this long after the last NAN broadcast."""
 _RATE_2_4_GHZ: Final = 2
@@ -156,8 +156,9 @@ class WifiTransport:
                 self._lately.append(element)
             return
         frames = self._sender.frames(transport, messages)
-        if transport == WIFI_NAN:
-            self._nan_s = now_s
+        if transport == WIFI_NAN and frames:
+            # Receivers listen right after a synchronisation beacon, so the frames follow one of their own.
+            self._nan_s, self._sync_s = now_s, None
             self._synchronise(now_s)
         for frame in frames:
             self._lately.append(frame[_TSF_AT + 8 :])
@@ -216,11 +217,15 @@ class WifiTransport:
             )
         return parts
 
+    @property
+    def _channel(self) -> int:
+        """Channel that the card must be tuned to."""
+        return self.wifi_channel or self._config.channel
+
     def _off_channel(self) -> str | None:
-        channel = self.wifi_channel or self._config.channel
-        if self._monitor is None or self._heard_channel in (None, channel):
+        if self._monitor is None or self._heard_channel in (None, self._channel):
             return None
-        return f"{self._monitor.interface} listens on channel {self._heard_channel}, not on {channel}"
+        return f"{self._monitor.interface} listens on channel {self._heard_channel}, not on {self._channel}"
 
     def _slow_beacons(self) -> tuple[str, ...]:
         interval_tu = None if self._hostapd is None else self._hostapd.status.beacon_interval_tu
@@ -245,7 +250,7 @@ class WifiTransport:
             self._hostapd.poll(now_s)
         for part in (self._inject, self._monitor):
             if part is not None:
-                part.keep_open(now_s)
+                part.keep_open(now_s, self._channel)
 
     def _synchronise(self, now_s: float) -> None:
         """Send the NAN synchronisation beacon if it is due and NAN is in use."""
@@ -262,7 +267,7 @@ class WifiTransport:
         """Inject a frame with a sequence number. Most drivers overwrite the number, some leave it to us."""
         if self._inject is None or self._inject.trouble is not None:
             return False
-        sent = self._inject.send(self._radiotap + stamp(frame, self._sequence, round(now_s * 1e6)))
+        sent = self._inject.send(self._radiotap + stamp(frame, self._sequence, round(now_s * 1e6)), now_s)
         self._sequence = (self._sequence + 1) & 0xFFF
         return sent
 

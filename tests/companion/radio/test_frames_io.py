@@ -161,6 +161,17 @@ def test_the_messages_of_several_structures_in_one_frame_are_merged() -> None:
     assert event.messages == (BASIC_ID, SELF_ID)
 
 
+def test_of_many_structures_in_one_frame_the_first_are_read() -> None:
+    texts = tuple(SelfId(description_type=0, text=str(n)) for n in range(9))
+    (beacon,) = FrameSender(ADDRESS).frames("wifi", (BASIC_ID,))
+    receiver = FrameReceiver()
+    more = (build_vendor_element(encode_pack((text,)), 9) for text in texts)
+    event = receiver.receive_wifi(beacon + b"".join(more))
+    assert event is not None
+    assert event.messages == (BASIC_ID, *texts[:3])
+    assert receiver.last_error == "10 Remote ID structures in one frame; read: 4"
+
+
 @pytest.mark.parametrize("transport", ["ble5", "wifi", "nan"])
 def test_of_a_torn_pack_the_whole_messages_are_heard(transport: str) -> None:
     (frame,) = FrameSender(ADDRESS).frames(transport, (BASIC_ID, location(), SELF_ID))

@@ -33,7 +33,7 @@ TUN = Path("/dev/net/tun")
 IFF_TAP, IFF_NO_PI, IFF_UP = 0x0002, 0x1000, 0x1
 TUNSETIFF, TUNSETLINK = 0x400454CA, 0x400454CD
 SIOCGIFFLAGS, SIOCSIFFLAGS = 0x8913, 0x8914
-RADIOTAP_LINK = 803
+ETHERNET_LINK, RADIOTAP_LINK = 1, 803
 
 OWN = "c2:01:02:03:04:05"
 OTHER = "c2:00:00:00:00:01"
@@ -70,6 +70,9 @@ class Tap:
         # The kernel takes the next free number, so that tests side by side do not meet.
         request = struct.pack("16sH22x", b"ridair%d", IFF_TAP | IFF_NO_PI)
         self.name = fcntl.ioctl(self.fd, TUNSETIFF, request)[:16].rstrip(b"\0").decode()
+        self.set_link(link)
+
+    def set_link(self, link: int) -> None:
         fcntl.ioctl(self.fd, TUNSETLINK, link)
 
     def set_up(self, up: bool) -> None:

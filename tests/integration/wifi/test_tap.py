@@ -30,6 +30,7 @@ from companion.remote_id.frames import (
 )
 from tests.integration.wifi.parts import (
     BASIC_ID,
+    ETHERNET_LINK,
     FULL,
     LOCATION,
     OTHER,
@@ -135,7 +136,7 @@ def test_what_is_no_hearing_is_left_out_and_what_is_bad_is_counted(tap: Tap, rad
 
 @needs_tap
 def test_a_flood_is_taken_in_portions_and_losses_are_told(tap: Tap, radio: WifiTransport) -> None:
-    frame = captured(build_beacon(encode_pack(FULL), 0, OTHER))
+    frame = captured(build_beacon(encode_pack(FULL[:5]), 0, OTHER))
     sent = 8000
     for _ in range(sent):
         tap.put(frame)
@@ -187,6 +188,22 @@ def test_an_interface_that_vanishes(tap: Tap, radio: WifiTransport) -> None:
 
 
 @needs_tap
+def test_an_interface_that_another_program_takes_out_of_monitor_mode(tap: Tap, radio: WifiTransport) -> None:
+    radio.broadcast("wifi", (SELF_ID,), 1.0)
+    tap.sent(1)
+    # Between two frames, so that no send fails.
+    tap.set_up(False)
+    tap.set_link(ETHERNET_LINK)
+    tap.set_up(True)
+    radio.broadcast("wifi", (SELF_ID,), 2.0)
+    health = radio.health(2.0)
+    assert not health.ok
+    assert health.can_send == frozenset()
+    assert f"'{tap.name}' is not a Wi-Fi interface" in health.text
+    assert tap.waiting() == []
+
+
+@needs_tap
 def test_a_card_tuned_elsewhere_is_told(tap: Tap, radio: WifiTransport) -> None:
     tap.put(captured(build_beacon(encode_pack((SELF_ID,)), 0, OTHER), mhz=2412))
     hear(radio, 1)
@@ -199,7 +216,7 @@ def test_a_card_tuned_elsewhere_is_told(tap: Tap, radio: WifiTransport) -> None:
 def test_the_kernel_hands_over_what_others_sent_and_can_carry_remote_id(tap: Tap) -> None:
     listener = PacketSocket("radio.monitor", tap.name, 6, listen=True)
     sender = PacketSocket("radio.inject", tap.name, 6, listen=False)
-    assert sender.send(captured(b"\x80\x00" + bytes(40)))
+    assert sender.send(captured(b"\x80\x00" + bytes(40)), 0.0)
     wanted = [captured(bytes((kind, 0)) + bytes(40)) for kind in (0x80, 0x50, 0xD0)]
     for kind in (0x08, 0x40, 0xB4, 0xC0):
         tap.put(captured(bytes((kind, 0)) + bytes(40)))
@@ -217,6 +234,15 @@ def test_the_kernel_hands_over_what_others_sent_and_can_carry_remote_id(tap: Tap
     assert sender.receive() == []
     listener.close()
     sender.close()
+
+
+@needs_tap
+def test_long_frames_are_taken_in_smaller_portions(tap: Tap, radio: WifiTransport) -> None:
+    """A frame of empty elements takes forty times as long to read as an ordinary one."""
+    frame = captured(build_beacon(encode_pack((SELF_ID,)), 0, OTHER) + bytes(2) * 1000)
+    for _ in range(100):
+        tap.put(frame)
+    assert len(radio.heard(0.0)) == -(-(1 << 16) // len(frame))
 
 
 @needs_tap

@@ -8,13 +8,23 @@ import pytest
 
 from companion.remote_id.messages import (
     Authentication,
+    BasicId,
+    IdType,
     Location,
     OperatorId,
     SelfId,
     Status,
+    UaType,
 )
 from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from tests.companion.radio.arduremoteid.bench import OURS, UTC_S, Bench, messages
+
+SESSION = BasicId(
+    id_type=IdType.SPECIFIC_SESSION,
+    ua_type=UaType.HELICOPTER_OR_MULTIROTOR,
+    uas_id="\x01\x20\x01\x00\x3f\xfe\x00\x0a\x05\x1d\xeb4\x33\xa8\xf1\x2a\xf8",
+)
+"""A DRIP entity tag, an IPv6 address of 2001:30::/28."""
 
 
 def test_each_message_is_fed_once_for_all_transports() -> None:
@@ -97,3 +107,19 @@ def test_one_that_never_sent_leaves_the_module_alone() -> None:
     bench.wait(5.0)
     bench.radio.close()
     assert not any(name.startswith("OPEN_DRONE_ID") for name in bench.module.received)
+
+
+@pytest.mark.parametrize("first", [OURS, SESSION])
+def test_an_identity_that_the_firmware_would_cut_is_not_fed(first: BasicId) -> None:
+    bench = Bench(params={"UAS_TYPE": 0.0, "UAS_ID_TYPE": 0.0}, uas_id="")
+    bench.radio.configure({"ble4": 1})
+    bench.radio.broadcast(
+        "ble4", tuple(dict.fromkeys((first, SESSION, Location(lat_deg=47.3, lon_deg=8.5)))), bench.wire.now_s
+    )
+    bench.wait(1.0)
+    health = bench.health()
+    assert (health.ok, health.can_send, health.confirmed) == (False, frozenset(), frozenset())
+    assert "the module cuts identities at a zero byte" in health.text
+    assert bench.module.flash_writes == []
+    assert not {kind for kind in bench.module.received if "DRONE_ID" in kind}
+    assert health.frames_sent == 0

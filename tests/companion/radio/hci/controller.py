@@ -10,8 +10,11 @@ RESET = 0x0C03
 VERSION = 0x1001
 COMMANDS = 0x1002
 FEATURES = 0x2003
+RANDOM_ADDRESS = 0x2005
+LEGACY_PARAMETERS = 0x2006
 LEGACY_DATA = 0x2008
 LEGACY_ENABLE = 0x200A
+LEGACY_SCAN_PARAMETERS = 0x200B
 LEGACY_SCAN = 0x200C
 PARAMETERS = 0x2036
 DATA = 0x2037
@@ -66,7 +69,16 @@ class Controller:
     early: bool = False
     """Reports the end of advertising before it answers Enable."""
     credit: int = 1
+    scanning: bool = False
+    has_address: bool = False
+    """A random address was set."""
+    needs_address: bool = False
+    """Legacy advertising is to use the random address. By default it uses the controller's own."""
     log: list[tuple[int, bytes]] = field(default_factory=list)
+
+    def reset(self) -> None:
+        """As HCI Reset does, and a controller's own watchdog, which tells nobody."""
+        self.scanning = self.has_address = self.needs_address = False
 
     def opcodes(self) -> list[int]:
         return [opcode for opcode, _ in self.log]
@@ -90,7 +102,7 @@ class Controller:
         self.log.append((opcode, data))
         if opcode in self.silent:
             return b""
-        status = self.status.get(opcode, 0)
+        status = self.status.get(opcode, 0) or self._status(opcode, data)
         values = {
             VERSION: bytes((9, 0, 0, 9, 0xF1, 0x05, 0, 0)),
             COMMANDS: self.commands,
@@ -105,6 +117,22 @@ class Controller:
             event = terminated(data[2], self.terminated_status)
             return event + answer if self.early else answer + event
         return answer
+
+    def _status(self, opcode: int, data: bytes) -> int:
+        """Keep the state that the standard demands, and return the error code that follows from it."""
+        if opcode == RESET:
+            self.reset()
+        elif opcode == RANDOM_ADDRESS:
+            self.has_address = True
+        elif opcode == LEGACY_PARAMETERS:
+            self.needs_address = data[5] == 1
+        elif opcode in (SCAN, LEGACY_SCAN):
+            self.scanning = data[0] == 1
+        elif opcode in (SCAN_PARAMETERS, LEGACY_SCAN_PARAMETERS) and self.scanning:
+            return 0x0C
+        elif opcode == LEGACY_ENABLE and data[0] == 1 and self.needs_address > self.has_address:
+            return 0x12
+        return 0
 
 
 class TcpController:

@@ -26,6 +26,7 @@ from tests.companion.radio.hci.controller import (
     DATA,
     EXTENDED,
     RESET,
+    SCAN_PARAMETERS,
     VERSION,
     Controller,
     TcpController,
@@ -265,7 +266,7 @@ def test_a_controller_that_dies_and_comes_back(start: Open) -> None:
 def test_a_controller_that_falls_silent_is_started_anew(start: Open, listen_only: bool) -> None:
     first = Controller()
     radio, server = start(first, Controller(), send=not listen_only)
-    first.silent = {VERSION, DATA}
+    first.silent = {VERSION, DATA, SCAN_PARAMETERS}
     if not listen_only:
         radio.broadcast(BLE5, MESSAGES, 0.0)
     until(lambda: server.connections == 2 and radio.health(0.0).ok)
@@ -311,9 +312,13 @@ def test_a_controller_that_refuses_everything_is_reset(start: Open) -> None:
 def test_a_lesser_controller_that_comes_back_sends_what_it_can(start: Open) -> None:
     radio, server = start(Controller(), Controller(features=EXTENDED))
     server.die()
-    until(lambda: server.connections == 2 and radio.health(0.0).ok)
+    until(lambda: server.connections == 2 and radio.health(0.0).can_send)
     assert radio.capabilities == {BLE4, BLE5}
-    assert radio.health(0.0).can_send == radio.hears == {BLE4}
+    health = radio.health(0.0)
+    assert health.can_send == radio.hears == {BLE4}
+    assert not health.ok
+    assert "no BLE 5 Long Range since it was reopened; " in health.text
+    assert "this controller has no LE Coded PHY" in health.text
 
 
 @pytest.mark.usefixtures("impatient")

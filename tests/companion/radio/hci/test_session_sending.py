@@ -22,14 +22,17 @@ from companion.remote_id.messages import (
 )
 from companion.remote_id.transports import BLE4, BLE5
 from tests.companion.radio.hci.controller import (
+    CODED,
     DATA,
     ENABLE,
     EXTENDED,
     LEGACY_DATA,
     RESET,
+    SCAN_PARAMETERS,
     VERSION,
     Controller,
     complete,
+    extended_report,
     terminated,
 )
 from tests.companion.radio.hci.host import ADDRESS, LOCATION, SELF_ID, SERIAL, Host
@@ -226,6 +229,29 @@ class OneSetBroken(Controller):
         return super()._answer(opcode, data)
 
 
+def test_a_controller_that_answers_too_slowly_counts_as_unable_until_it_has_sent() -> None:
+    host = Host(Controller(), listen=False)
+    host.broadcast(BLE4, LOCATION)
+    for _ in range(2):  # the answers to Data and Enable
+        (command,) = host.session.packets()
+        host.now_s += 0.49
+        host.session.tick(host.now_s)
+        assert host.session.can_send == {BLE4, BLE5}
+        answer = host.controller.feed(command)
+        host.session.receive(answer, host.now_s)
+    assert host.counts.sent == 1
+    host.broadcast(BLE4, LOCATION)
+    (command,) = host.session.packets()
+    assert host.session.next_s <= host.now_s + 1.0
+    host.now_s += 1.0
+    host.session.tick(host.now_s)
+    assert host.session.can_send == {BLE5}
+    assert host.session.trouble == "BLE 4: a frame takes longer than 1 s"
+    host.session.receive(host.controller.feed(command), host.now_s)
+    host.run()
+    assert (host.counts.sent, host.session.can_send) == (2, {BLE4, BLE5})
+
+
 def test_a_set_that_does_not_work_costs_no_other() -> None:
     host = Host(OneSetBroken())
     for _ in range(20):
@@ -336,9 +362,61 @@ def test_silence_is_noticed_even_by_a_listener() -> None:
     host = Host(Controller(), send=False)
     host.wait(60.0)
     assert host.session.failure is None
+    host.controller.silent = {SCAN_PARAMETERS}
+    host.wait(4.5)
+    assert "no answer to LE Set Extended Scan Parameters" in str(host.session.failure)
+
+
+def test_silence_is_noticed_where_nothing_listens() -> None:
+    host = Host(Controller(), listen=False)
+    host.wait(60.0)
+    assert host.session.failure is None
     host.controller.silent = {VERSION}
     host.wait(4.5)
     assert "no answer to Read Local Version Information" in str(host.session.failure)
+
+
+@pytest.mark.parametrize("features", [EXTENDED | CODED, 0])
+@pytest.mark.parametrize("sends", [False, True])
+def test_a_controller_that_no_longer_scans_is_noticed(features: int, sends: bool) -> None:
+    host = Host(Controller(features=features), send=sends)
+    for _ in range(60):
+        host.hear(extended_report(b"x"))
+        if sends:
+            host.broadcast(BLE4, LOCATION)
+        host.wait(1.0)
+    assert host.session.failure is None
+    host.controller.scanning = False
+    for _ in range(4):
+        if sends:
+            host.broadcast(BLE4, LOCATION)
+        host.wait(1.0)
+    assert host.session.failure == "it no longer scans: it was reset"
+
+
+def test_a_controller_that_takes_scan_parameters_at_any_time_is_left_in_peace() -> None:
+    class Lax(Controller):
+        def _status(self, opcode: int, data: bytes) -> int:
+            return 0
+
+    host = Host(Lax(), send=False)
+    host.wait(60.0)
+    assert host.session.failure is None
+    assert VERSION in host.controller.opcodes()[-3:]
+
+
+def test_a_legacy_controller_that_was_reset_does_not_advertise_as_another_device() -> None:
+    host = Host(Controller(features=0), listen=False)
+    host.broadcast(BLE4, LOCATION)
+    host.run()
+    host.wait(0.5)
+    host.controller.reset()
+    for _ in range(3):
+        host.broadcast(BLE4, LOCATION)
+        host.run()
+        host.wait(0.5)
+    assert host.counts.sent == 1
+    assert "Invalid HCI Command Parameters, 3 times in a row" in str(host.session.failure)
 
 
 def test_silence_while_sending_is_noticed() -> None:

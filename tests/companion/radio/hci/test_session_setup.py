@@ -47,7 +47,8 @@ def test_set_up_of_a_whole_controller() -> None:
         0: (0x10, 1, 1),
         1: (0x00, 3, 3),
     }
-    assert host.controller.opcodes()[-1] == SCAN
+    assert host.controller.opcodes()[-2:] == [SCAN, SCAN_PARAMETERS]
+    assert host.controller.scanning
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from companion.errors import ConfigError
 from companion.radio.wifi import packet_socket, wifi_radio
 from companion.radio.wifi.hostapd import ApStatus
-from companion.radio.wifi.packet_socket import channel_of, check_monitor, tuned_channel
+from companion.radio.wifi.packet_socket import PacketSocket, channel_of, check_monitor, tuned_channel
 from companion.radio.wifi.section import WifiRadio
-from companion.radio.wifi.wifi_radio import SYNC_PERIOD_S, WifiTransport, stamp
+from companion.radio.wifi.wifi_radio import WifiTransport, stamp
 from companion.remote_id.captures.radiotap import build_radiotap
 from companion.remote_id.codec import encode_pack
 from companion.remote_id.frames import (
@@ -51,10 +51,10 @@ class FakeSocket:
         self.air: list[bytes] = []
         self.closed = False
 
-    def keep_open(self, now_s: float) -> None:
-        pass
+    def keep_open(self, now_s: float, channel: int) -> None:
+        self.channel = channel
 
-    def send(self, data: bytes) -> bool:
+    def send(self, data: bytes, now_s: float) -> bool:
         if self.takes:
             self.sent.append(data)
         return self.takes
@@ -119,7 +119,7 @@ def test_a_stamp_touches_nothing_else() -> None:
     assert stamp(beacon, 0, -1)[24:32] == b"\xff" * 8
 
 
-def test_synchronisation_keeps_its_grid(opened: Callable[..., WifiTransport]) -> None:
+def test_every_action_frame_follows_a_synchronisation_beacon(opened: Callable[..., WifiTransport]) -> None:
     radio = opened(inject="w")
     frames = radio._inject.sent  # type: ignore[union-attr]
     for n in range(200):
@@ -127,8 +127,8 @@ def test_synchronisation_keeps_its_grid(opened: Callable[..., WifiTransport]) ->
             radio.broadcast("nan", MESSAGES, n * 0.05)
         radio.heard(n * 0.05)
     kinds = [frame[12] for frame in frames]
-    assert kinds.count(0xD0) == 10
-    assert kinds.count(0x80) == 1 + int(199 * 0.05 / SYNC_PERIOD_S)
+    # With one action frame a second, another beacon is due in between.
+    assert kinds == [0x80, 0xD0, 0x80] * 10
     assert frames[0] == build_radiotap() + stamp(build_nan_sync_beacon(OWN), 0, 0)
     for n in range(200, 400):
         radio.heard(n * 0.05)
@@ -145,6 +145,79 @@ def test_a_full_queue_is_counted_and_told(opened: Callable[..., WifiTransport]) 
     health = radio.health(0.0)
     assert health.frames_sent == 0
     assert "2 frames could not be sent" in health.text
+
+
+class FullSocket:
+    """A raw socket of the kernel whose queue is full until it is told not to be."""
+
+    def __init__(self) -> None:
+        self.error: int | None = errno.ENOBUFS
+
+    def send(self, data: bytes) -> int:
+        if self.error is not None:
+            raise OSError(self.error, os.strerror(self.error))
+        return len(data)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def raw(monkeypatch: pytest.MonkeyPatch) -> FullSocket:
+    raw = FullSocket()
+    monkeypatch.setattr(PacketSocket, "_open", lambda _: raw)
+    monkeypatch.setattr(packet_socket, "_examine", lambda *_: None)
+    return raw
+
+
+@pytest.mark.parametrize("error", [errno.ENOBUFS, errno.EAGAIN])
+def test_a_queue_that_stays_full_sends_nothing_and_that_is_told(raw: FullSocket, error: int) -> None:
+    radio, raw.error = WifiTransport(WifiRadio(inject="w"), OWN), error
+    for n in range(5):  # 0.8 s
+        radio.broadcast("wifi", MESSAGES, 10.0 + 0.2 * n)
+    assert radio.health(10.8).can_send == {"wifi", "nan"}
+    radio.broadcast("wifi", MESSAGES, 11.0)
+    health = radio.health(11.0)
+    assert (health.ok, health.can_send) == (False, frozenset())
+    assert f"radio.inject: 'w': {os.strerror(error)}" in health.text
+    # A new socket is tried once a second. The first frame that it refuses is trouble again.
+    radio.heard(12.1)
+    assert radio.health(12.1).can_send == {"wifi", "nan"}
+    radio.broadcast("wifi", MESSAGES, 12.15)
+    assert radio.health(12.15).can_send == frozenset()
+    raw.error = None
+    radio.heard(13.2)
+    radio.broadcast("wifi", MESSAGES, 13.2)
+    raw.error = error
+    radio.broadcast("wifi", MESSAGES, 13.4)
+    assert (radio.health(13.4).ok, radio.health(13.4).frames_sent) == (True, 1)
+
+
+def test_an_interface_is_examined_once_a_second(raw: FullSocket, monkeypatch: pytest.MonkeyPatch) -> None:
+    radio, raw.error = WifiTransport(WifiRadio(inject="w"), OWN), None
+    radio.broadcast("wifi", MESSAGES, 10.0)
+
+    def taken_over(key: str, interface: str, channel: int) -> NoReturn:
+        raise ConfigError(f"{key}: {interface!r} is tuned to channel 1, but radio.channel is {channel}")
+
+    def no_descriptor(*_: object) -> NoReturn:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(packet_socket, "_examine", no_descriptor)
+    radio.broadcast("wifi", MESSAGES, 11.0)
+    assert radio.health(11.0).ok
+    monkeypatch.setattr(packet_socket, "_examine", taken_over)
+    radio.broadcast("wifi", MESSAGES, 12.0)
+    health = radio.health(12.0)
+    assert (health.ok, health.can_send, health.frames_sent) == (False, frozenset(), 2)
+    assert "'w' is tuned to channel 1, but radio.channel is 6" in health.text
+
+
+def test_the_card_is_to_follow_hostapd_to_another_channel(opened: Callable[..., WifiTransport]) -> None:
+    radio = opened(hostapd="/h/wlan0", inject="w", monitor="m")
+    radio._hostapd.status = ApStatus("ENABLED", BSSID, 149, 100)  # type: ignore[union-attr]
+    radio.heard(1.0)
+    assert (radio._inject.channel, radio._monitor.channel) == (149, 149)  # type: ignore[union-attr]
 
 
 def test_hostapd_sends_the_beacons_and_tells_address_and_channel(
