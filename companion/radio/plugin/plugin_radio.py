@@ -7,6 +7,7 @@ must correct. It runs in the loop of the flight, so none of its methods but `con
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping
 from itertools import islice
@@ -129,7 +130,8 @@ class GuardedRadio:
             frames_sent=told.frames_sent,
             frames_heard=told.frames_heard,
             bad_frames=told.bad_frames + self._bad,
-            can_send=told.can_send - failed,
+            # What it cannot send would count as on the air, because `Radios` never asks it to send that.
+            can_send=(told.can_send & self.capabilities) - failed,
             confirmed=told.confirmed,
             missing=told.missing,
         )
@@ -162,7 +164,7 @@ def open_radio(section: PluginRadio, context: RadioContext) -> GuardedRadio:
     except ConfigError as error:
         raise ConfigError(f"radio.name: {error}") from error
     try:
-        return GuardedRadio(plugin.loaded(dict(section.options), context), plugin)
+        return GuardedRadio(plugin.loaded(copy.deepcopy(section.options), context), plugin)
     except ConfigError as error:
         raise ConfigError(f"radio.options: {error}") from error
     except (Exception, SystemExit) as error:
