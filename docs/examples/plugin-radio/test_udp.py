@@ -1,7 +1,10 @@
 """The radio passes the kit."""
 
+import contextlib
 import socket
 
+from companion.radio.frames_io import FrameSender, radio_address
+from companion.remote_id.messages import SelfId
 from dmuca.testing import RadioConformance
 
 
@@ -17,3 +20,13 @@ class TestUdp(RadioConformance):
     def feed(self, radio, transport, frame):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             other.sendto(transport.encode() + b"\0" + frame, radio.socket.getsockname())
+
+    def test_senders_on_ble_are_told_apart(self):
+        with contextlib.closing(self.open()) as radio:
+            words = SelfId(description_type=0, text="hello")
+            (frame,) = FrameSender(radio_address("OTHER")).frames("ble4", [words])
+            with contextlib.ExitStack() as stack:
+                for _ in range(2):
+                    other = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+                    other.sendto(b"ble4\0" + frame, radio.made.socket.getsockname())
+                assert len({event.address for event in radio.heard(0.0)}) == 2
