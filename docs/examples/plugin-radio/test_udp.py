@@ -11,11 +11,25 @@ from dmuca.testing import RadioConformance
 class TestUdp(RadioConformance):
     name = "udp"
 
+    def setup_method(self):
+        self.air = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.air.bind(("127.0.0.1", 0))
+        self.air.setblocking(False)
+
+    def teardown_method(self):
+        self.air.close()
+
     def options(self):
-        return {"to": "127.0.0.1:9"}
+        return {"to": f"127.0.0.1:{self.air.getsockname()[1]}"}
 
     def bad_options(self):
         return {"to": "127.0.0.1:9", "lisen": 15555}
+
+    def sent(self, radio):
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                transport, _, frame = self.air.recv(4096).partition(b"\0")
+                yield transport.decode(), frame
 
     def feed(self, radio, transport, frame):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
