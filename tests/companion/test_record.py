@@ -61,7 +61,7 @@ def test_a_length_that_reaches_over_whole_steps_is_no_torn_tail():
     at = len(event_record.MAGIC) + len(event_record.encode(HEADER))
     damaged = bytearray(DATA)
     damaged[at + 2] ^= 0x40
-    with pytest.raises(PeerDataError, match=f"byte {at}: a length of .* reaches over the whole records"):
+    with pytest.raises(PeerDataError, match=rf"byte {at}: a length of .* reaches over the whole records"):
         read(bytes(damaged))
 
 

@@ -176,7 +176,7 @@ def test_a_companion_that_hangs_is_told_however_often_it_is_asked(tmp_path, monk
         stopped.bind(str(path))
         stopped.listen(2)
         for _ in range(6):
-            with pytest.raises(ConfigError, match="no answer.*: the companion hangs"):
+            with pytest.raises(ConfigError, match=r"no answer.*: the companion hangs"):
                 ask(path)
 
 
