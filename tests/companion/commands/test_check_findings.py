@@ -278,7 +278,7 @@ def test_a_broadcast_without_ble4_is_warned_about(
 def test_a_radio_that_is_not_ok_is_red_whatever_it_says_is_missing(
     listed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Only a line that is a missing function, rather than one that ends like it, is no more than a warning."""
+    """A line is a warning if it is a missing function, not if it only ends like one."""
 
     class Broken(NullTransport):
         def health(self, now_s: float) -> Health:
