@@ -47,6 +47,8 @@ Record = Header | Step
 
 _encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(Record)
+_STEP = b"\x84\xa4type\xa4Step"
+"""How the body of each step begins: a map of four entries, the first of which is its tag."""
 
 
 def encode(record: Record) -> bytes:
@@ -124,11 +126,25 @@ class Reader:
             raise self._damaged(f"record of {length} bytes; allowed: up to {_MAX_RECORD}")
         body = self._stream.read(length)
         if len(body) < length:
+            if self._holds_step(body):
+                raise self._damaged(f"a length of {length} bytes reaches over the whole records that follow")
             self._torn = True
             return None
         if zlib.crc32(body) != crc:
             raise self._damaged("checksum differs")
         return body
+
+    @staticmethod
+    def _holds_step(tail: bytes) -> bool:
+        """Whether a whole step lies in the rest of a file, which then does not end in one torn record."""
+        at = -1
+        while (at := tail.find(_STEP, at + 1)) >= 0:
+            if at >= _HEAD.size:
+                length, crc = _HEAD.unpack_from(tail, at - _HEAD.size)
+                body = tail[at : at + length]
+                if len(body) == length and zlib.crc32(body) == crc:
+                    return True
+        return False
 
     def _damaged(self, words: str) -> PeerDataError:
         return PeerDataError(f"{self._name}: byte {self._offset}: {words}")

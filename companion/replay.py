@@ -73,6 +73,8 @@ class RecordReplay:
     """The first difference, in words; None if there is none."""
     refused: dict[str, int] = field(default_factory=dict)
     """Number of commands that the gate would refuse now, by the name of the rule."""
+    unread_bytes: int = 0
+    """Size of an incomplete record at the end of the file, which is not compared."""
 
 
 def replay_record(records: Iterable[Record], name: str, tolerance: float) -> RecordReplay:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import math
 import unittest
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -28,19 +28,31 @@ from companion.autopilot.dialects.definition import CUSTOM_MODE_ENABLED, Dialect
 from companion.avoidance.law import Neighbour, Situation
 from companion.avoidance.plugin_law import PluginLaw
 from companion.avoidance.trajectory import Trajectory
-from companion.config import AvoidanceConfig, LimitsConfig
+from companion.config import AvoidanceConfig, LimitsConfig, TrafficConfig
 from companion.errors import ConfigError
 from companion.events import FlightMode, RemoteIdHeard
-from companion.radio.frames_io import TRANSPORTS, FrameSender, radio_address
+from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender, radio_address
 from companion.radio.plugin.plugin_radio import GuardedRadio, open_radio
 from companion.radio.plugin.section import PluginRadio
 from companion.radio.radio import ByteLink, RadioContext
-from companion.remote_id.messages import BasicId, IdType, Location, Message, Status, UaType
+from companion.remote_id.codec import decode, encode
+from companion.remote_id.messages import (
+    BasicId,
+    IdType,
+    Location,
+    Message,
+    OperatorId,
+    SelfId,
+    Status,
+    System,
+    UaType,
+)
 
 __all__ = ["FirmwareConformance", "LawConformance", "PolicyConformance", "RadioConformance"]
 
 _PERIOD_S = 0.2
 _LAG_S = 0.5
+_MOST = TrafficConfig().max_tracks
 _PATH = Trajectory([0.0, 100.0], [(0.0, 0.0, -50.0), (400.0, 0.0, -50.0)])
 
 
@@ -58,22 +70,23 @@ class LawConformance:
         return PluginLaw(AvoidanceConfig(law=self.name), LimitsConfig(), _PATH)
 
     def test_it_answers_any_situation(self) -> None:
-        """The law must not fail, whatever the number and behaviour of the neighbours."""
+        """The law must not fail, whatever the number, kind and behaviour of the neighbours."""
         law, rng = self.law(), np.random.default_rng(1)
         for step in range(300):
-            found = law.decide(_situation(rng, step, int(rng.integers(0, 60))))
+            found = law.decide(_situation(rng, step, _number(rng, step)))
             assert law.fault is None, law.fault
             assert all(map(math.isfinite, found.chosen_ned_mps))
 
     def test_the_same_situations_give_the_same_answers(self) -> None:
-        """Replays depend on this."""
-        answers = []
-        for _ in range(2):
-            law, rng = self.law(), np.random.default_rng(2)
-            steps = [law.decide(_situation(rng, step, 5)).chosen_ned_mps for step in range(100)]
-            assert law.fault is None, law.fault
-            answers.append(steps)
-        assert answers[0] == answers[1]
+        """Replays depend on this, also where several aircraft fly in one process."""
+        alone, law, other = self.law(), self.law(), self.law()
+        steps = [_situation(np.random.default_rng(step), step, 5) for step in range(100)]
+        answers = [alone.decide(situation).chosen_ned_mps for situation in steps]
+        rng = np.random.default_rng(2)
+        for step, (situation, answer) in enumerate(zip(steps, answers, strict=True)):
+            other.decide(_situation(rng, step, 5))
+            assert law.decide(situation).chosen_ned_mps == answer, "another law object changes its answers"
+        assert alone.fault is None, alone.fault
 
     def test_it_arrives_where_nobody_is_in_the_way(self) -> None:
         """At the end of a path without traffic, the aircraft is within 5 m of the path's end."""
@@ -118,8 +131,8 @@ class PolicyConformance:
     def test_it_chooses_an_allowed_action_whatever_it_sees(self) -> None:
         """This holds for any number of neighbours, and any set of allowed actions that is not empty."""
         policy, rng = self.policy(), np.random.default_rng(1)
-        for _ in range(500):
-            answer = policy.choose(*_observation(rng, len(policy.actions)))
+        for step in range(500):
+            answer = policy.choose(*_observation(rng, len(policy.actions), _number(rng, step)))
             assert isinstance(answer, Choice), answer
 
     def test_if_one_action_is_allowed_it_chooses_that_one(self) -> None:
@@ -132,12 +145,14 @@ class PolicyConformance:
             assert policy.choose(own, rows, allowed, current) == Choice(index, policy.actions[index])
 
     def test_the_same_observations_give_the_same_choices(self) -> None:
-        """Replays depend on this."""
-        answers = []
-        for _ in range(2):
-            policy, rng = self.policy(), np.random.default_rng(3)
-            answers.append([policy.choose(*_observation(rng, len(policy.actions))) for _ in range(100)])
-        assert answers[0] == answers[1]
+        """Replays depend on this, also where several aircraft fly in one process."""
+        alone, policy, other = self.policy(), self.policy(), self.policy()
+        actions, rng = len(alone.actions), np.random.default_rng(3)
+        seen = [_observation(rng, actions) for _ in range(100)]
+        answers = [alone.choose(*observation) for observation in seen]
+        for observation, answer in zip(seen, answers, strict=True):
+            other.choose(*_observation(rng, actions))
+            assert policy.choose(*observation) == answer, "another policy object changes its answers"
 
 
 class _NoLink:
@@ -179,6 +194,10 @@ class RadioConformance:
         """Let the radio that the plug-in made receive a frame, which may be damaged."""
         raise unittest.SkipTest("RadioConformance.feed is not overridden: reception is not tested")
 
+    def sent(self, radio: Any) -> Iterable[tuple[str, bytes]]:
+        """Transport and bytes of each frame that the radio has put on the air since the last call."""
+        raise unittest.SkipTest("RadioConformance.sent is not overridden: what is sent is not tested")
+
     def open(self, options: Mapping[str, Any] | None = None) -> GuardedRadio:
         """A new radio, as a flight opens it."""
         context = RadioContext("KIT", lambda: 0.0, self.link)
@@ -191,6 +210,7 @@ class RadioConformance:
         with self._opened() as radio:
             assert radio.capabilities | radio.hears, "it neither sends nor hears"
             assert radio.capabilities | radio.hears <= TRANSPORTS
+            assert radio.made.health(0.0).can_send <= radio.capabilities, "it can send more than it has"
             for address in radio.own_addresses:
                 octets = address.split(":")
                 assert address == address.lower(), address
@@ -208,7 +228,7 @@ class RadioConformance:
         assert refused.startswith("radio.options: "), f"it raised something else than ConfigError: {refused}"
 
     def test_it_sends_on_each_of_its_transports(self) -> None:
-        """Sent frames are counted, and sending raises nothing."""
+        """Sent frames are counted, sending raises nothing, and the radio does not hear itself."""
         with self._opened() as radio:
             rates = dict.fromkeys(sorted(radio.capabilities), 1)
             radio.configure(rates, probe=True)
@@ -218,6 +238,18 @@ class RadioConformance:
                 radio.broadcast(transport, _messages(), 0.0)
                 self._sound(radio)
                 assert radio.health(0.0).frames_sent > before, f"{transport}: nothing was sent"
+                heard = {event.address for event in radio.heard(0.0)}
+                assert not heard & radio.own_addresses, f"{transport}: it hears itself"
+
+    def test_what_it_sends_are_the_messages(self) -> None:
+        """A receiver reads each message from the frames, on the transport that was asked for."""
+        with self._opened() as radio:
+            for transport in sorted(radio.capabilities):
+                radio.broadcast(transport, _messages(), 0.0)
+                frames = list(self.sent(radio.made))
+                assert {name for name, _ in frames} == {transport}
+                events = _received(transport, [frame for _, frame in frames])
+                assert [m for event in events for m in event.messages] == list(_messages()), transport
 
     def test_a_transport_that_it_does_not_have_is_refused(self) -> None:
         """The radio raises ValueError, as `Radio` requires."""
@@ -230,17 +262,25 @@ class RadioConformance:
                 raise AssertionError(f"{transport}: no ValueError")
 
     def test_it_hears_what_was_sent(self) -> None:
-        """Each message of each frame arrives unchanged, on each transport that the radio receives."""
+        """Each message of each frame arrives unchanged, on each transport that the radio receives, with the
+        frame's counter, if the radio reports counters, and the transmitter that a Wi-Fi frame names."""
         address = radio_address("OTHER")
         with self._opened() as radio:
             for transport in sorted(radio.hears):
-                frames = FrameSender(address).frames(transport, _messages())
+                sender = FrameSender(address)
+                sender.frames(transport, _messages()[1:2])  # its counters no longer begin at 0
+                frames = sender.frames(transport, _messages())
                 for frame in frames:
                     self.feed(radio.made, transport, frame)
                 heard = radio.heard(0.0)
                 self._sound(radio)
                 assert [m for event in heard for m in event.messages] == list(_messages()), transport
                 assert {event.transport for event in heard} == {transport}
+                for event, wanted in zip(heard, _received(transport, frames), strict=True):
+                    assert event.counter in (None, wanted.counter), f"{transport}: a wrong counter"
+                    assert event.address == wanted.address or not wanted.address, (
+                        f"{transport}: a wrong address"
+                    )
                 assert radio.heard(0.0) == [], "a frame is returned once"
 
     def test_damaged_frames_are_counted_and_never_raised(self) -> None:
@@ -255,8 +295,7 @@ class RadioConformance:
                             damaged[int(at)] ^= int(rng.integers(1, 256))
                         self.feed(radio.made, transport, bytes(damaged))
                         self.feed(radio.made, transport, rng.bytes(40))
-                for event in radio.heard(1.0):
-                    assert isinstance(event, RemoteIdHeard)
+                radio.heard(1.0)
                 self._sound(radio)
             assert radio.health(1.0).bad_frames > 0, "damaged frames are not counted"
 
@@ -280,6 +319,7 @@ class RadioConformance:
     def _sound(radio: GuardedRadio) -> None:
         radio.health(0.0)
         assert radio.trouble is None, radio.trouble
+        assert radio.left_out == 0, "it returned what is no frame of messages"
 
 
 class FirmwareConformance:
@@ -340,15 +380,26 @@ def _situation(rng: np.random.Generator, step: int, others: int) -> Situation:
             sigma_m=float(rng.uniform(0.0, 30.0)),
             vertical_known=bool(rng.random() < 0.9),
             crewed=bool(rng.random() < 0.1),
+            adsb=bool(rng.random() < 0.1),
+            silent=bool(rng.random() < 0.1),
+            yields=bool(rng.random() < 0.1),
+            share=float(rng.uniform(0.5, 1.0)),
+            turn_rps=float(rng.normal(0.0, 0.1)),
         )
         for number in range(others)
     )
-    return Situation(now_s, now_s, three(100.0), three(3.0), 1.5, neighbours)
+    floor, ceiling = (down if rng.random() < 0.5 else None for down in (30.0, -150.0))
+    return Situation(now_s, now_s, three(100.0), three(3.0), 1.5, neighbours, floor, ceiling)
 
 
-def _observation(rng: np.random.Generator, actions: int) -> tuple[Any, Any, Any, int | None]:
+def _number(rng: np.random.Generator, step: int) -> int:
+    """A number of neighbours, now and then as many as the table holds."""
+    return _MOST if step % 50 == 0 else int(rng.integers(0, 60))
+
+
+def _observation(rng: np.random.Generator, actions: int, others: int = 5) -> tuple[Any, Any, Any, int | None]:
     """A random own row and neighbour rows, the allowed actions, and the one in use."""
-    rows = rng.uniform(0.0, 1.0, (int(rng.integers(0, 40)), len(NEIGHBOUR_COLUMNS)))
+    rows = rng.uniform(0.0, 1.0, (others, len(NEIGHBOUR_COLUMNS)))
     allowed = rng.random(actions) < rng.uniform(0.1, 1.0)
     allowed[rng.integers(0, actions)] = True
     current = None if rng.random() < 0.2 else int(rng.integers(0, actions))
@@ -356,8 +407,8 @@ def _observation(rng: np.random.Generator, actions: int) -> tuple[Any, Any, Any,
 
 
 def _messages() -> tuple[Message, ...]:
-    """A Basic ID and a Location as decoding returns them."""
-    return (
+    """Every message that an aircraft sends, as decoding returns it."""
+    sent = (
         BasicId(
             id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id="1596B0000DMUCA01"
         ),
@@ -369,4 +420,15 @@ def _messages() -> tuple[Message, ...]:
             speed_mps=5.0,
             direction_deg=90.0,
         ),
+        SelfId(description_type=0, text="survey"),
+        System(operator_lat_deg=47.397, operator_lon_deg=8.546, timestamp_utc_s=1_767_225_600.0),
+        OperatorId(operator_id_type=0, operator_id="FIN87astrdge12k8"),
     )
+    return tuple(decode(encode(message)) for message in sent)
+
+
+def _received(transport: str, frames: Iterable[bytes]) -> list[RemoteIdHeard]:
+    """What a receiver reads from frames; the address is "" where the frame holds none."""
+    receiver = FrameReceiver()
+    events = [receiver.receive(transport, "", frame) for frame in frames]
+    return [event for event in events if event is not None]

@@ -86,10 +86,12 @@ class PluginPolicy:
         arrays = own_row.copy(), neighbour_rows.copy(), allowed.copy()
         try:
             index = operator.index(self._policy.choose(*arrays, current))
-        except (Exception, SystemExit) as error:
+            if not 0 <= index < len(self._actions) or not allowed[index]:
+                return Refused(Why.BROKEN, f"policy {self.plugin} chose {index}, which is not allowed")
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # also asyncio's CancelledError, which is no Exception
             return Refused(Why.BROKEN, f"policy {self.plugin} failed: {plugins.cause(error)}")
-        if not 0 <= index < len(self._actions) or not allowed[index]:
-            return Refused(Why.BROKEN, f"policy {self.plugin} chose {index}, which is not allowed")
         return Choice(index, self._actions[index])
 
 

@@ -8,6 +8,7 @@ acknowledges modes that it then does not enter.
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 
 import msgspec
@@ -96,12 +97,13 @@ def check_dialect(dialect: object) -> None:
     """Check that a dialect is complete and consistent.
 
     Raises:
-        ConfigError: it is no `Dialect`, a commanded mode would not be read back as itself, a mode that the
-            companion needs is missing, a wanted parameter is unknown, or another firmware has its
-            MAV_AUTOPILOT.
+        ConfigError: it is no `Dialect`, a value has a wrong type, a commanded mode would not be read back as
+            itself, a mode that the companion needs is missing, a wanted parameter is unknown, or another
+            firmware has its MAV_AUTOPILOT.
     """
     if not isinstance(dialect, Dialect):
         raise ConfigError(f"{dialect!r:.80} is not a companion.autopilot.dialects.definition.Dialect")
+    _check_types(dialect)
     for mode in (FlightMode.EXTERNAL, FlightMode.MISSION, FlightMode.HOLD):
         command = dialect.commands.get(mode)
         if command is None or dialect.modes.get(command.custom_mode) is not mode:
@@ -116,6 +118,19 @@ def check_dialect(dialect: object) -> None:
     for firmware, other in _OWN.items():
         if firmware is not dialect.firmware and other.autopilot == dialect.autopilot:
             raise ConfigError(f"{dialect.title}: MAV_AUTOPILOT {dialect.autopilot} is that of {other.title}")
+
+
+def _check_types(dialect: Dialect) -> None:
+    """Check the types of all values. With the text of a mode in place of the mode, for example, no vehicle
+    would ever be taken."""
+    try:
+        typed = msgspec.convert(msgspec.to_builtins(dialect), Dialect)
+    except (msgspec.ValidationError, TypeError) as error:
+        raise ConfigError(f"{dialect.title}: {error}") from error
+    for field in dataclasses.fields(Dialect):
+        # A mode and its text convert to the same mode, but are not equal; NaN is not even equal to itself.
+        if getattr(typed, field.name) != getattr(dialect, field.name):
+            raise ConfigError(f"{dialect.title}: {field.name}: a value has a wrong type, or is not a number")
 
 
 def refusal(firmware: Firmware, vehicle_type: int) -> str | None:

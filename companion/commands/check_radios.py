@@ -53,7 +53,7 @@ def _judge_radios(config: Config, radios: Radios, failed: Sequence[str], found: 
         what, _, text = line.partition(": ")
         if line in failed:
             found.red(what, text, "docs/radios.md says what this backend needs")
-        elif any(line.endswith(missing) for missing in health.missing):
+        elif line.removeprefix("radio: ") in health.missing:
             found.yellow(what, text, "use another radio if you need what is missing")
         elif chosen:
             found.yellow(what, text, "configure a [[radio]] to broadcast and to receive Remote ID")

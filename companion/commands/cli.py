@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import platform
 import sys
 from collections.abc import Sequence
@@ -169,7 +170,9 @@ def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
 
     tolerance = 0.0 if _same_machine_and_software(folder / "manifest.json") else replay.ELSEWHERE
     with path.open("rb") as stream:
-        result = replay.replay_record(event_record.read(stream, str(path)), str(path), tolerance)
+        reader = event_record.Reader(stream, str(path))
+        result = replay.replay_record(reader.records(), str(path), tolerance)
+        result.unread_bytes = stream.seek(0, os.SEEK_END) - reader.offset
     if as_json:
         print(msgspec.json.encode(result).decode(), flush=True)
     else:
@@ -184,7 +187,12 @@ def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
             print(f"commands that the gate would now refuse, by rule: {rules}")
     if result.first is not None:
         print(result.first, file=sys.stderr)
-    return 1 if result.differences else 0
+    if result.unread_bytes:
+        words = f"the file is cut off; its last {result.unread_bytes} bytes are not a whole record"
+        print(f"{path}: {words}", file=sys.stderr)
+    if not result.steps:
+        print(f"{path}: holds no step, so nothing was compared", file=sys.stderr)
+    return 1 if result.differences or not result.steps else 0
 
 
 def _same_machine_and_software(manifest: Path) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -99,12 +100,16 @@ def read_run(folder: Path) -> Seen:
     summary = _facts(folder / "summary.json", "the run must have ended")
     manifest = _facts(folder / MANIFEST, "every run has one")
     with path.open("rb") as stream:
-        records = event_record.read(stream, str(path))
+        reader = event_record.Reader(stream, str(path))
+        records = reader.records()
         header = next(records, None)
         if not isinstance(header, Header):
             raise ConfigError(f"--run: {path}: holds no record")
         seen = Seen(header, summary, manifest)
         _read_steps(seen, (record for record in records if isinstance(record, Step)))
+        if torn := stream.seek(0, os.SEEK_END) - reader.offset:
+            words = f"the file is cut off; its last {torn} bytes are not a whole record"
+            raise ConfigError(f"--run: {path}: {words}")
     return seen
 
 

@@ -26,6 +26,7 @@ _NOBODY = "no companion answers there; leave out --socket to ask the one on this
 _NOT_ASKED = {
     errno.ENOENT: _NOBODY,
     errno.ECONNREFUSED: _NOBODY,
+    errno.EAGAIN: "no answer, and its queue is full of clients that wait: the companion hangs",
     errno.EACCES: "permission denied; only root and the group of its folder may ask it",
 }
 _STYLES = {"advisory": "cyan", "caution": "yellow", "warning": "bold red"}

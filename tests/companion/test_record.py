@@ -52,9 +52,17 @@ def test_every_flipped_byte_is_noticed():
         with contextlib.suppress(PeerDataError):
             for item in event_record.read(io.BytesIO(bytes(damaged)), "x.events"):
                 found.append(item)  # noqa: PERF402 what came before the damage counts
-        # A length that grew past the end reads as a torn tail; nothing false may be read.
+        # A length that grew past the end may read as a torn tail; nothing false may be read.
         assert found == [HEADER, STEP, STEP][: len(found)]
         assert len(found) < 3
+
+
+def test_a_length_that_reaches_over_whole_steps_is_no_torn_tail():
+    at = len(event_record.MAGIC) + len(event_record.encode(HEADER))
+    damaged = bytearray(DATA)
+    damaged[at + 2] ^= 0x40
+    with pytest.raises(PeerDataError, match=rf"byte {at}: a length of .* reaches over the whole records"):
+        read(bytes(damaged))
 
 
 def test_another_file_is_refused_in_one_line():

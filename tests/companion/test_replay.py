@@ -85,6 +85,20 @@ def test_replay_of_a_folder_by_command(run_folder, capsys):
     assert [line["aircraft"] for line in lines] == ["DMUCA001", "DMUCA002"]
 
 
+def test_what_was_not_compared_is_told(run_folder, tmp_path, capsys):
+    data = min(run_folder.glob("*.events")).read_bytes()
+    file = tmp_path / "x.events"
+    file.write_bytes(data[:-5])
+    assert cli.main(["replay", str(file), "--json"]) == 0
+    told = capsys.readouterr()
+    left = json.loads(told.out)["unread_bytes"]
+    assert f"x.events: the file is cut off; its last {left} bytes are not a whole record" in told.err
+    assert 5 < left < 3000
+    file.write_bytes(data[: len(event_record.MAGIC)])
+    assert cli.main(["replay", str(file)]) == 1
+    assert "x.events: holds no step, so nothing was compared" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("change", "code"), [(1e-4, 1), (1e-7, 1), (1e-12, 0)])
 def test_a_changed_command_is_found(run_folder, tmp_path, capsys, change, code):
     """1e-12 passes because the folder has no manifest that proves the same software."""

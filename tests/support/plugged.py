@@ -141,6 +141,8 @@ def laws(folder: Path, name: str = "plugged_laws") -> None:
 
 
 POLICIES = '''
+from asyncio import CancelledError
+
 import numpy as np
 
 from companion.atmc.actions import SET_ACTIONS
@@ -187,6 +189,20 @@ class Lost(First):
         raise KeyError("weights")
 
 
+class Cancelled(First):
+    """Raises what is no `Exception`."""
+
+    def choose(self, own_row, neighbour_rows, allowed, current):
+        raise CancelledError("timed out")
+
+
+class Vast(First):
+    """An integer of more digits than Python writes out."""
+
+    def choose(self, own_row, neighbour_rows, allowed, current):
+        return 10**5000
+
+
 class Fast(First):
     actions = ((0, 0, 11),)
 
@@ -202,7 +218,10 @@ class Twice(First):
 class Bare:
     pass
 '''
-POLICY_KINDS = ("First", "Far", "Forbidden", "Beyond", "Half", "Lost", "Fast", "Silent", "Twice", "Bare")
+POLICY_KINDS = (
+    *("First", "Far", "Forbidden", "Beyond", "Half", "Lost", "Cancelled", "Vast"),
+    *("Fast", "Silent", "Twice", "Bare"),
+)
 
 
 def policies(folder: Path, name: str = "plugged_policies") -> None:

@@ -7,6 +7,7 @@ must correct. It runs in the loop of the flight, so none of its methods but `con
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping
 from itertools import islice
@@ -52,7 +53,8 @@ class GuardedRadio:
         """When the last broadcast failed, for each transport whose last one did."""
         self._refusing_s: dict[str, float] = {}
         """Since when each transport refuses all messages, for those that do."""
-        self._bad = 0
+        self.left_out = 0
+        """Frames that it returned and that break the contract."""
 
     @property
     def capabilities(self) -> frozenset[str]:
@@ -113,14 +115,14 @@ class GuardedRadio:
             try:
                 found.append(_checked(event))
             except Exception:  # whatever a plug-in may put into a message
-                self._bad += 1
+                self.left_out += 1
         return found
 
     def health(self, now_s: float) -> Health:
         """The state that it reports; not ok once it broke the contract."""
         told = self._ask(lambda: _health(self.made.health(now_s)), None)
         if told is None:
-            return Health(False, f"{self._plugin}: {self.trouble}", 0, 0, self._bad)
+            return Health(False, f"{self._plugin}: {self.trouble}", 0, 0, self.left_out)
         failed = {t for t, failed_s in self._failed_s.items() if now_s - failed_s < FORGIVEN_S}
         trouble = "" if self.trouble is None else f"; {self.trouble}"
         return Health(
@@ -128,8 +130,9 @@ class GuardedRadio:
             text=told.text + trouble,
             frames_sent=told.frames_sent,
             frames_heard=told.frames_heard,
-            bad_frames=told.bad_frames + self._bad,
-            can_send=told.can_send - failed,
+            bad_frames=told.bad_frames + self.left_out,
+            # What it cannot send would count as on the air, because `Radios` never asks it to send that.
+            can_send=(told.can_send & self.capabilities) - failed,
             confirmed=told.confirmed,
             missing=told.missing,
         )
@@ -162,7 +165,7 @@ def open_radio(section: PluginRadio, context: RadioContext) -> GuardedRadio:
     except ConfigError as error:
         raise ConfigError(f"radio.name: {error}") from error
     try:
-        return GuardedRadio(plugin.loaded(dict(section.options), context), plugin)
+        return GuardedRadio(plugin.loaded(copy.deepcopy(section.options), context), plugin)
     except ConfigError as error:
         raise ConfigError(f"radio.options: {error}") from error
     except (Exception, SystemExit) as error:

@@ -1,6 +1,7 @@
 """Sends each Remote ID frame as one UDP datagram, and receives those that others send.
 
-A datagram is the name of the transport, a zero byte, and the frame. Options: `to` (HOST:PORT) and `listen` (a
+A datagram is the name of the transport, a zero byte, and the frame. A BLE frame holds no address of its
+sender, so aircraft are told apart by where a datagram came from. Options: `to` (HOST:PORT) and `listen` (a
 port of this computer).
 """
 
@@ -50,19 +51,19 @@ class UdpRadio:
         found = []
         for _ in range(MOST_DATAGRAMS):
             try:
-                datagram = self.socket.recv(MOST_BYTES)
+                datagram, (host, port) = self.socket.recvfrom(MOST_BYTES)
             except BlockingIOError:
                 break
             except OSError as error:
                 self._trouble = error.strerror
                 break
-            found.append(self._read(datagram))
+            found.append(self._read(datagram, f"{host}:{port}"))
         return [event for event in found if event is not None]
 
-    def _read(self, datagram):
+    def _read(self, datagram, address):
         transport, zero, frame = datagram.partition(b"\0")
         name = transport.decode("latin-1")
-        event = self._receiver.receive(name, "", frame) if zero and name in TRANSPORTS else None
+        event = self._receiver.receive(name, address, frame) if zero and name in TRANSPORTS else None
         self._heard, self._bad = self._heard + (event is not None), self._bad + (event is None)
         return event
 

@@ -259,6 +259,16 @@ def test_a_run_that_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "holds no record" in capsys.readouterr().err
 
 
+def test_a_record_that_is_cut_off_is_no_evidence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = config_file(tmp_path, "watch")
+    run = Flown(path).run(12.0).landed().recorded(tmp_path / "run")
+    record = run / "first.events"
+    record.write_bytes(record.read_bytes()[:-3])
+    passed_before(tmp_path, "watch")
+    assert judged("watch", path, run, *CONFIRM["watch"]) == 2
+    assert "first.events: the file is cut off; its last " in capsys.readouterr().err
+
+
 def test_the_evidence_file_is_read_again_as_it_was_written(tmp_path: Path) -> None:
     passed_before(tmp_path, "pair")
     path = tmp_path / "evidence.json"

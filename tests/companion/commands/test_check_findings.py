@@ -20,6 +20,9 @@ from companion.commands import check as check_module
 from companion.commands.check import check
 from companion.config import AtmcConfig, Config, IdentityConfig, RecordConfig, RemoteIdConfig, VehicleConfig
 from companion.radio.ether.section import EtherRadio
+from companion.radio.null.null_radio import NullTransport
+from companion.radio.radio import Health
+from companion.runtime import radios
 from tests.companion.commands.conftest import Vehicle
 
 
@@ -270,3 +273,19 @@ def test_a_broadcast_without_ble4_is_warned_about(
     )
     texts = [text for light, text, _ in found["remote ID"] if light == "yellow"]
     assert any("no BLE 4" in text for text in texts) is warned
+
+
+def test_a_radio_that_is_not_ok_is_red_whatever_it_says_is_missing(
+    listed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A line is a warning if it is a missing function, not if it only ends like one."""
+
+    class Broken(NullTransport):
+        def health(self, now_s: float) -> Health:
+            return Health(False, "antenna broken", 0, 0, 0, missing=("broken", ""))
+
+    monkeypatch.setattr(check_module, "_vehicle", lambda *_: None)
+    monkeypatch.setattr(radios, "open_radio", lambda *_: Broken())
+    found = listed(1, radio=(EtherRadio(address="127.0.0.1:9"),))
+    lights = {text: light for light, text, _ in found["radio"]}
+    assert lights == {"antenna broken": "red", "broken": "yellow", "": "yellow"}

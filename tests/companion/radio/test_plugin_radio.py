@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from asyncio import CancelledError
 
@@ -57,6 +58,11 @@ def raising(error):
         raise error
 
     return call
+
+
+def test_it_can_send_only_what_it_has():
+    told = dataclasses.replace(Made.told, can_send=frozenset({"wifi", "ble4"}))
+    assert made(told=told).health(0.0).can_send == {"wifi"}
 
 
 def test_what_keeps_the_contract_passes():
@@ -214,4 +220,16 @@ def test_one_that_does_not_open_is_named(tmp_path, monkeypatch, source, words):
     with pytest.raises(ConfigError) as refused:
         open_radio(PluginRadio(name="mine"), CONTEXT)
     assert words in str(refused.value)
+    plugged.forget("one")
+
+
+def test_it_cannot_change_the_configuration(tmp_path, monkeypatch):
+    """The record of the flight holds what was configured."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    plugged.forget("one")
+    source = "def open(options, context): return options['led'].clear()"
+    plugged.install(tmp_path, "one", source, {plugin_radio.plugins.RADIOS: {"mine": "one:open"}})
+    section = PluginRadio(name="mine", options={"led": {"pin": 3}})
+    open_radio(section, CONTEXT)
+    assert section.options == {"led": {"pin": 3}}
     plugged.forget("one")

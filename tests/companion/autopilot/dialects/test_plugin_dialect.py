@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -72,6 +73,10 @@ def test_a_link_without_it_knows_the_firmware_itself(brought):
             dataclasses.replace(HERON, wanted=(dataclasses.replace(HERON.wanted[0], field="wings"),)),
             "'wings' is no field of VehicleParameters",
         ),
+        (dataclasses.replace(HERON, take_from={"external"}), "take_from: a value has a wrong type"),
+        (dataclasses.replace(HERON, modes=HERON.modes | {5: None}), "Heron: Expected `str`, got `null`"),
+        (dataclasses.replace(HERON, mode_known_s=math.nan), "mode_known_s: a value has a wrong"),
+        (dataclasses.replace(HERON, names=object()), "Heron: Encoding objects of type object"),
     ],
 )
 def test_one_that_does_not_hold_together_is_refused(brought, loaded, words):

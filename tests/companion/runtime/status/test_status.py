@@ -13,6 +13,7 @@ import msgspec
 import pytest
 from rich.console import Console
 
+from companion.commands import status
 from companion.commands.status import ask, find_socket, render
 from companion.errors import ConfigError
 from companion.runtime.status.status_socket import Status, StatusServer, TrackStatus, folders
@@ -165,6 +166,18 @@ def test_a_socket_that_nobody_serves_says_so(tmp_path):
     for path in (tmp_path / "nothing.sock", tmp_path / "file", tmp_path):
         with pytest.raises(ConfigError, match=f"{path}: no companion answers there"):
             ask(path)
+
+
+def test_a_companion_that_hangs_is_told_however_often_it_is_asked(tmp_path, monkeypatch):
+    """Nobody takes the clients from the queue, which fills up as the display keeps asking."""
+    monkeypatch.setattr(status, "_PATIENCE_S", 0.01)
+    path = tmp_path / "A.sock"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as stopped:
+        stopped.bind(str(path))
+        stopped.listen(2)
+        for _ in range(6):
+            with pytest.raises(ConfigError, match=r"no answer.*: the companion hangs"):
+                ask(path)
 
 
 def test_what_is_no_socket_stays(tmp_path, monkeypatch):
