@@ -31,6 +31,7 @@ _OTHER_CLOCK_S, _OTHER_WITHIN_S, _OTHERS = 10.0, 10.0, 3
 """A clock that goes back by more than `_OTHER_CLOCK_S` so often within `_OTHER_WITHIN_S` belongs to two
 autopilots. No vehicle restarts so often, and no link delivers messages that are so old."""
 _GROUND_STATION = mavlink.MAV_TYPE_GCS
+_GENERIC = mavlink.MAV_TYPE_GENERIC
 _HEARTBEAT_ID = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
 
@@ -61,6 +62,7 @@ class HeardVehicle:
         self._config = config
         self._counts = counts
         self._heartbeat_s = -math.inf
+        self._armed = False
         self._boot_s: float | None = None
         self._boot_heard_s = 0.0
         self._back_s: deque[float] = deque(maxlen=_OTHERS)
@@ -101,7 +103,7 @@ class HeardVehicle:
         """Take the vehicle's HEARTBEAT. Returns whether the vehicle is new or was away."""
         known = self.vehicle
         dropped = known is not None and not self.is_connected(now_s)
-        self._heartbeat_s = now_s
+        self._heartbeat_s, self._armed = now_s, heartbeat.armed
         self._counts.drops += dropped
         if known is None or known.vehicle_type != heartbeat.vehicle_type:
             self.vehicle = Vehicle(
@@ -111,6 +113,20 @@ class HeardVehicle:
                 refusal=refusal(heartbeat.firmware, heartbeat.vehicle_type),
             )
         return known is None or dropped
+
+    def is_of_another(self, heartbeat: Heartbeat, now_s: float) -> bool:
+        """Whether a HEARTBEAT with our vehicle's id is that of another vehicle, and says nothing about ours.
+
+        The firmware never changes, and MAV_TYPE does not change while the vehicle is armed, except from and
+        to the generic type, which ArduPilot has while it starts. A vehicle that was away may be another one
+        now. If the vehicle itself has changed without a pause, its own heartbeats cease, and that ends
+        authority.
+        """
+        known = self.vehicle
+        if known is None or heartbeat.firmware is not known.firmware:
+            return known is not None
+        kinds = {known.vehicle_type, heartbeat.vehicle_type}
+        return self._armed and self.is_connected(now_s) and len(kinds) > 1 and _GENERIC not in kinds
 
     def is_connected(self, now_s: float) -> bool:
         """Whether the vehicle's last heartbeat is not older than `LOST_AFTER_S`."""
@@ -135,12 +151,16 @@ class HeardVehicle:
     def second_clock(self, now_s: float) -> TwoAutopilots | None:
         """Event if two autopilots with our vehicle's system id are on the link; reported once. Both firmwares
         have the id 1 unless it was changed, and whatever is sent to one of them reaches both."""
-        back_s, vehicle = self._back_s, self.vehicle
-        if self.unclear is not None or vehicle is None or len(back_s) < _OTHERS:
+        if len(self._back_s) < _OTHERS or now_s - self._back_s[0] > _OTHER_WITHIN_S:
             return None
-        if now_s - back_s[0] > _OTHER_WITHIN_S:
+        return self.second_with_our_id()
+
+    def second_with_our_id(self) -> TwoAutopilots | None:
+        """Event that another autopilot has our vehicle's id; None if the vehicle is unclear already."""
+        if self.unclear is not None or self.vehicle is None:
             return None
-        self.unclear = f"two autopilots with system id {vehicle.system_id} on this link: give each its own"
+        own_id = self.vehicle.system_id
+        self.unclear = f"two autopilots with system id {own_id} on this link: give each its own"
         return TwoAutopilots(reason=self.unclear)
 
     def second_autopilot(self, frame: Frame) -> TwoAutopilots | None:

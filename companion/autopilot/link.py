@@ -293,6 +293,11 @@ class AutopilotLink:
             self.counts.foreign += 1
             return
         event = heartbeat(frame.system_id, fields)
+        if self._heard.is_of_another(event, now_s):
+            self.counts.foreign += 1
+            two = self._heard.second_with_our_id()
+            self._events += [] if two is None else [two]
+            return
         if self._order.is_overtaken(frame.sequence):
             event = msgspec.structs.replace(event, overtaken=True)
         anew = self._heard.on_heartbeat(event, now_s)

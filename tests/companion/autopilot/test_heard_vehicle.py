@@ -148,3 +148,41 @@ def test_two_clocks_under_one_system_id_make_it_unclear(configured, apart_s, per
         "two autopilots with system id 1 on this link: give each its own"
     ] * unclear
     assert (scripted.link.unclear is not None) is unclear
+
+
+ARMED = 129
+PLANE = 1
+
+
+@pytest.mark.parametrize(("autopilot", "vehicle_type"), [(3, PLANE), (12, 2)])
+def test_a_heartbeat_of_another_vehicle_under_our_id_says_nothing_about_ours(autopilot, vehicle_type) -> None:
+    """It would end our authority in the middle of a conflict, as if the pilot had taken over."""
+    scripted = Scripted()
+    scripted.heartbeat(GUIDED, base_mode=ARMED)
+    other = mavlink.MAVLink_heartbeat_message(vehicle_type, autopilot, ARMED, 0, 4, 3)
+    (told,) = scripted.says(other)
+    assert told == TwoAutopilots(reason="two autopilots with system id 1 on this link: give each its own")
+    assert scripted.says(other) == []
+    assert str(scripted.link.vehicle) == "ardupilot, system 1, MAV_TYPE 2"
+    assert scripted.link.counts.foreign == 2
+    (own,) = scripted.heartbeat(GUIDED, base_mode=ARMED)
+    assert isinstance(own, Heartbeat)
+    assert own.mode is FlightMode.EXTERNAL
+
+
+@pytest.mark.parametrize(
+    ("vehicle_type", "base_mode", "away_s"), [(PLANE, 1, 0.1), (0, ARMED, 0.1), (PLANE, ARMED, 3.5)]
+)
+def test_a_vehicle_may_become_another_one_on_the_ground_or_after_a_pause(
+    vehicle_type, base_mode, away_s
+) -> None:
+    """FRAME_CLASS is set on the ground. ArduPilot is of the generic type while it starts."""
+    scripted = Scripted()
+    scripted.heartbeat(GUIDED, base_mode=base_mode)
+    scripted.after(away_s)
+    (event,) = scripted.heartbeat(0, vehicle_type=vehicle_type, base_mode=ARMED)
+    assert isinstance(event, Heartbeat)
+    assert event.mode is not FlightMode.EXTERNAL
+    assert scripted.link.vehicle is not None
+    assert scripted.link.vehicle.vehicle_type == vehicle_type
+    assert scripted.link.unclear is None
