@@ -68,6 +68,7 @@ from companion.events import (
     DownloadMission,
     Event,
     Firmware,
+    FlightMode,
     GlobalPosition,
     LocalPosition,
     Say,
@@ -397,6 +398,11 @@ class AutopilotLink:
                 self._outbox.say(command.severity, command.text)
             case _:
                 raise ValueError(f"{type(command).__name__} is not a command for the autopilot")
+
+    @property
+    def asked_mode(self) -> FlightMode | None:
+        """The mode that the vehicle is being asked for; None if no request runs."""
+        return self._mode_and_speed.asked_mode
 
     def cancel_mode(self) -> None:
         """Stop asking for a mode or a speed, because the caller has given up the vehicle."""
