@@ -64,7 +64,9 @@ class PluginPolicy:
         try:
             self._policy: OwnPolicy = plugin.loaded()
             self._actions = _actions_of(self._policy)
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             raise PolicyError(f"{plugin} makes no policy: {plugins.cause(error)}") from error
 
     @property
@@ -86,7 +88,9 @@ class PluginPolicy:
         arrays = own_row.copy(), neighbour_rows.copy(), allowed.copy()
         try:
             index = operator.index(self._policy.choose(*arrays, current))
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             return Refused(Why.BROKEN, f"policy {self.plugin} failed: {plugins.cause(error)}")
         if not 0 <= index < len(self._actions) or not allowed[index]:
             return Refused(Why.BROKEN, f"policy {self.plugin} chose {index}, which is not allowed")

@@ -83,6 +83,18 @@ class Exits(Straight):
         raise SystemExit(3)
 
 
+class Cancelled(Straight):
+    """Fails with an exception that is no Exception, as asyncio's CancelledError."""
+
+    def choose(self, situation, follow, limits):
+        raise GeneratorExit("cancelled")
+
+
+class Interrupted(Straight):
+    def choose(self, situation, follow, limits):
+        raise KeyboardInterrupt
+
+
 class Unmade:
     def __init__(self, avoidance):
         raise OSError("no weights")
@@ -96,7 +108,7 @@ class Clumsy(Straight):
 '''
 KINDS = (
     "Straight", "Follow", "Aside", "East", "Down", "Nan", "Huge", "Two", "Words", "Nothing", "Raises",
-    "Exits", "Unmade", "Clumsy",
+    "Exits", "Cancelled", "Interrupted", "Unmade", "Clumsy",
 )  # fmt: skip
 
 
@@ -172,6 +184,11 @@ class Forbidden(First):
         return 0
 
 
+class Cancelled(First):
+    def choose(self, own_row, neighbour_rows, allowed, current):
+        raise GeneratorExit("cancelled")
+
+
 class Beyond(First):
     def choose(self, own_row, neighbour_rows, allowed, current):
         return 9999
@@ -202,7 +219,9 @@ class Twice(First):
 class Bare:
     pass
 '''
-POLICY_KINDS = ("First", "Far", "Forbidden", "Beyond", "Half", "Lost", "Fast", "Silent", "Twice", "Bare")
+POLICY_KINDS = (
+    "First", "Far", "Forbidden", "Cancelled", "Beyond", "Half", "Lost", "Fast", "Silent", "Twice", "Bare",
+)  # fmt: skip
 
 
 def policies(folder: Path, name: str = "plugged_policies") -> None:

@@ -76,6 +76,7 @@ def test_an_action_that_is_not_legal_or_hardly_audible_is_not_offered_to_it(watc
             "(plugged_policies:Lost of plugged_policies 1.0) failed: KeyError: 'weights'",
         ),
         ("half", "failed: TypeError"),
+        ("cancelled", "failed: GeneratorExit: cancelled"),
         ("beyond", "chose 9999, which is not allowed"),
         ("forbidden", "chose 0, which is not allowed"),
     ],
