@@ -289,7 +289,8 @@ class Control:
             found[Trigger.WATCH if watch else Trigger.READY] = None
         if self._handback is not None:
             found |= self._handback.triggers(shown, now_s)
-        if self.state is State.WATCHING and self._readiness.unclear is not None:
+        self._refused.second = self._readiness.second
+        if self.state is State.WATCHING and (self._readiness.unclear or self._readiness.second) is not None:
             found[Trigger.LEFT] = None
         return found
 

@@ -211,7 +211,7 @@ class AutopilotLink:
                 elif self._heard.is_ours(frame):
                     self._take(frame, now_s)
                 elif not self._ground_stations.handle(frame):
-                    self._leave(frame)
+                    self._leave(frame, now_s)
             except PeerDataError as error:
                 self.counts.bad_values += 1
                 self.last_bad = str(error)
@@ -225,13 +225,12 @@ class AutopilotLink:
     def _firmware(self) -> Firmware | None:
         return None if self.vehicle is None else self.vehicle.firmware
 
-    def _leave(self, frame: Frame) -> None:
+    def _leave(self, frame: Frame, now_s: float) -> None:
         self.counts.foreign += 1
         if frame.message_id == _HEARTBEAT_ID:
             self._remote_id.note_heartbeat(frame, self._vehicle_system)
-            two = self._heard.second_autopilot(frame)
-            if two is not None:
-                self._events.append(two)
+            two = self._heard.second_autopilot(frame) or self._heard.second_companion(frame, now_s)
+            self._events += [] if two is None else [two]
 
     def _take_remote_id(self, frame: Frame, now_s: float) -> None:
         event = self._remote_id.event(frame, self._vehicle_system, now_s)
@@ -340,7 +339,10 @@ class AutopilotLink:
         last_s = self._heartbeat_sent_s
         if last_s is None or now_s - last_s >= HEARTBEAT_PERIOD_S - _EPSILON_S:
             self._heartbeat_sent_s = now_s
+            self._heard.heartbeat_sent(self._outbox.next_sequence)
             self._outbox.queue(encoders.heartbeat())
+        gone = self._heard.second_companion_gone(now_s)
+        self._events += [] if gone is None else [gone]
         self._polling.advance(now_s)
         if self._component is not None and self.vehicle is not None:
             for frame in self._component.due(self.vehicle.system_id, now_s):

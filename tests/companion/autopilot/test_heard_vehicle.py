@@ -10,6 +10,7 @@ from companion.events import (
     Firmware,
     FlightMode,
     Heartbeat,
+    SecondCompanion,
     TwoAutopilots,
 )
 from tests.companion.autopilot.conftest import Scripted
@@ -186,3 +187,51 @@ def test_a_vehicle_may_become_another_one_on_the_ground_or_after_a_pause(
     assert scripted.link.vehicle is not None
     assert scripted.link.vehicle.vehicle_type == vehicle_type
     assert scripted.link.unclear is None
+
+
+SECOND = SecondCompanion(
+    reason="another companion on this link has our system id 1 and component id 191: "
+    "stop one, or set its vehicle.component_id"
+)
+
+
+def seconds(scripted: Scripted, number: int, *others: Scripted) -> list[SecondCompanion]:
+    """What is told while each link hears what all others send, once a second."""
+    events = []
+    for _ in range(number):
+        for link in others:
+            events += scripted.link.receive(link.link.drain(), scripted.now_s)
+            link.heartbeat(GUIDED)
+            link.after(1.0)
+        scripted.heartbeat(GUIDED)
+        events += scripted.after(1.0)
+    return [event for event in events if isinstance(event, SecondCompanion)]
+
+
+def test_a_second_companion_under_our_id_is_told_once_and_again_when_it_is_gone(ardupilot: Scripted) -> None:
+    """Both would command the vehicle."""
+    assert seconds(ardupilot, 2, Scripted()) == []
+    other = Scripted()
+    seconds(other, 30)
+    assert seconds(ardupilot, 30, other) == [SECOND]
+    assert seconds(ardupilot, 20) == [SecondCompanion()]
+    assert seconds(ardupilot, 30, other) == [SECOND]
+
+
+@pytest.mark.parametrize("late_s", [0, 1, 4])
+def test_our_own_frames_that_a_router_sends_back_are_no_second_companion(
+    ardupilot: Scripted, late_s: int
+) -> None:
+    sent = [b""] * late_s
+    for _ in range(60):
+        sent.append(ardupilot.link.drain())
+        assert ardupilot.link.receive(sent[-1 - late_s], ardupilot.now_s) == []
+        ardupilot.heartbeat(GUIDED)
+        assert not [e for e in ardupilot.after(1.0) if isinstance(e, SecondCompanion)]
+
+
+def test_what_is_left_of_our_own_former_process_is_no_second_companion(ardupilot: Scripted) -> None:
+    former = Scripted()
+    seconds(former, 30)
+    assert seconds(ardupilot, 2, former) == []
+    assert seconds(ardupilot, 30) == []

@@ -24,6 +24,7 @@ from companion.events import (
     MissionRefused,
     Parameter,
     Say,
+    SecondCompanion,
     TwoAutopilots,
     VehicleParameters,
 )
@@ -81,6 +82,25 @@ def test_a_mission_that_may_be_a_neighbours_is_not_guarded(guarded):
     assert bench.core.state is State.STANDBY
     assert not modes(c for _, c in bench.log[before:])
     assert not bench.setpoints([c for _, c in bench.log[before:]])
+
+
+def test_a_mission_is_not_guarded_beside_another_companion(guarded):
+    bench = guarded()
+    bench.extra.append(SecondCompanion(reason="another"))
+    bench.step()
+    assert bench.core.state is State.STANDBY
+    assert [c.reason for _, c in bench.log if isinstance(c, AuthorityChanged)][-1] == "another"
+    before = len(bench.log)
+    meet(bench, seconds=4.0)
+    assert not modes(c for _, c in bench.log[before:])
+    assert not bench.setpoints([c for _, c in bench.log[before:]])
+
+
+def test_another_companion_does_not_end_an_avoidance(guarded):
+    bench = taken(guarded())
+    bench.extra.append(SecondCompanion(reason="another"))
+    bench.step(20)
+    assert bench.core.state in HOLDING
 
 
 def test_a_second_autopilot_while_the_vehicle_is_held_ends_the_guarding_once_the_mission_flies_on(guarded):
