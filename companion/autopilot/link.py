@@ -71,6 +71,7 @@ from companion.events import (
     FlightMode,
     GlobalPosition,
     LocalPosition,
+    MissionCurrent,
     Say,
     SetMode,
     SetSpeed,
@@ -270,6 +271,8 @@ class AutopilotLink:
             return
         if isinstance(event, GlobalPosition):
             self._nose.heard(fields[8])
+        if isinstance(event, MissionCurrent):
+            self._downloads.on_current(event, now_s)
         if isinstance(event, _STAMPED):
             self._order.stamped(frame.sequence, event.time_boot_s)
             self._on_boot_time(event.time_boot_s, now_s)
