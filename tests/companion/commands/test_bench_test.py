@@ -201,9 +201,7 @@ def test_what_each_stage_does_not_pass(tmp_path: Path) -> None:
         ("SIMPLE mode on", "not known whether it is simulated"),
     ],
 )
-def test_the_evidence_tells_of_a_simulated_vehicle(
-    tmp_path: Path, text: str, measured: str
-) -> None:
+def test_the_evidence_tells_of_a_simulated_vehicle(tmp_path: Path, text: str, measured: str) -> None:
     watch = config_file(tmp_path, "watch")
     flown = Flown(watch, airborne=False).run(1.0)
     said = VehicleText(severity=6, text=text)
