@@ -115,6 +115,20 @@ def test_a_second_autopilot_while_the_vehicle_is_held_ends_the_guarding_once_the
     assert not [c for _, c in bench.log if getattr(c, "trigger", "") in ("pilot", "unfit")]
 
 
+@pytest.mark.parametrize("held", [False, True])
+def test_a_home_that_is_set_in_flight_moves_the_heights_of_the_mission(guarded, held):
+    """The autopilot counts them from its present home, so the vehicle would be led to another height."""
+    bench = taken(guarded()) if held else guarded()
+    bench.height_m = 30.0  # home is 20 m higher from now on
+    bench.step(20)
+    if not held:
+        taken(bench)
+    bench.step(20)
+    course, own = bench.core.plan.course, bench.core.own
+    assert course.law.trajectory.points_ned_m[-1][2] == pytest.approx(-20.0, abs=0.1)  # 50 m above home
+    assert course.boundary_down_m(80.0, own, bench.now_s) == pytest.approx(-50.0, abs=0.1)
+
+
 def test_no_setpoint_before_it_is_taken(guarded):
     bench = guarded()
     meet(bench)
