@@ -47,6 +47,7 @@ from companion.events import (
     RemoteIdHeard,
     RemoteIdModule,
     Say,
+    SecondCompanion,
     SensedAircraft,
     Settings,
     Severity,
@@ -197,6 +198,8 @@ class Companion:
                     commands += self._control.mode_refused(event)
                 case TwoAutopilots():
                     commands += self._readiness.two_autopilots_heard(event)
+                case SecondCompanion():
+                    commands += self._readiness.second_companion_heard(event)
                 case RcChannels():
                     self._control.note_sticks(event)
                 case Settings():

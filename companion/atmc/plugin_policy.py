@@ -64,7 +64,9 @@ class PluginPolicy:
         try:
             self._policy: OwnPolicy = plugin.loaded()
             self._actions = _actions_of(self._policy)
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             raise PolicyError(f"{plugin} makes no policy: {plugins.cause(error)}") from error
 
     @property

@@ -53,6 +53,8 @@ _SURE = 3
 _KEPT_OFF_S = 60.0
 """If a floor, a ceiling, a fence or the wind keeps a guarded vehicle off its path for this long without a
 conflict, it is handed back where it is."""
+_OBEYED_LATE_S = 3.0
+"""How long after the pilot took over the vehicle may still obey a request of ours that was on its way."""
 _TOLD_LOUDLY = frozenset({Trigger.PILOT, Trigger.UNFIT, Trigger.CHANGED, Trigger.SPENT})
 _HOLDS = frozenset({Trigger.CHANGED, Trigger.SPENT})
 """Transitions at which the vehicle is asked to hold."""
@@ -100,6 +102,8 @@ class Control:
         """Earliest time at which a fault may end."""
         self._left = False
         """The pilot has left the mode whose selection gives us authority."""
+        self._obeyed_until_s = -math.inf
+        """Time until which that mode may be shown because of a request of ours."""
 
     @property
     def in_control(self) -> bool:
@@ -279,7 +283,7 @@ class Control:
             found[Trigger.RELEASE] = None
         if now_s >= self._healthy_s:
             found[Trigger.HEALTHY] = None
-        if self._authority_given_again(shown):
+        if self._authority_given_again(now_s, shown):
             found[Trigger.REARM] = None
         standing_by = self.state is State.STANDBY and self._plan.ready and in_time
         ready = standing_by and self._readiness.waits_for(now_s, self._modes.left_in) is None
@@ -289,11 +293,12 @@ class Control:
             found[Trigger.WATCH if watch else Trigger.READY] = None
         if self._handback is not None:
             found |= self._handback.triggers(shown, now_s)
-        if self.state is State.WATCHING and self._readiness.unclear is not None:
+        self._refused.second = self._readiness.second
+        if self.state is State.WATCHING and (self._readiness.unclear or self._readiness.second) is not None:
             found[Trigger.LEFT] = None
         return found
 
-    def _authority_given_again(self, shown: Sequence[Heartbeat]) -> bool:
+    def _authority_given_again(self, now_s: float, shown: Sequence[Heartbeat]) -> bool:
         """Whether the pilot gives authority again.
 
         With `rearm = "disarm"` disarming does so. With "mode" the pilot must have left the mode that gives
@@ -302,6 +307,8 @@ class Control:
         rearm = self._config.flight.rearm
         gives = FlightMode.EXTERNAL if self._handback is None else FlightMode.MISSION
         self._left = self._left or any(heartbeat.mode is not gives for heartbeat in shown)
+        if self._own.mode is gives and now_s < self._obeyed_until_s:
+            self._left = False
         if rearm == "disarm":
             return was_disarmed(shown)
         return rearm == "mode" and self._left and self._own.mode is gives
@@ -412,6 +419,8 @@ class Control:
         if self.state is State.WATCHING:
             self._modes.left_in = frozenset()
         self._left, self._conflicts = False, 0
+        asked = self._modes.asked if self._handback is None else self._handback.asked(now_s)
+        self._obeyed_until_s = now_s + _OBEYED_LATE_S if held and asked else -math.inf
         return commands
 
     def _let_go(self, trigger: Trigger) -> list[Command]:

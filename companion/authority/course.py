@@ -39,7 +39,8 @@ class Course:
         """Points of the flown path: time on the path's clock (s) and height above home (m) of each."""
 
     def begin(self, law: Law, home_alt_msl_m: float, start_s: float | None) -> None:
-        """Begin a flight. The home altitude stays fixed, even if the autopilot corrects it later.
+        """Begin a flight. The home altitude stays fixed, even if the autopilot corrects it later, unless the
+        plan sets another one.
 
         Args:
             start_s: monotonic time of the path's time 0; None to start the clock with `engage`.

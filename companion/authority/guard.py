@@ -34,6 +34,8 @@ _LEAST_SPEED_MPS = 1.0
 _REJOIN_S = 60.0
 """A vehicle that is taken again within this time may still be at the height to which traffic pushed it."""
 _HERE_M = 0.5
+_HOME_MOVED_M = 1.0
+"""Change of home's altitude that is no noise: somebody has set home in flight."""
 _STAY_S = 1.0
 
 
@@ -134,6 +136,7 @@ class GuardPlan:
         changed (another mission). Returns requests and messages.
         """
         assert self.course.law is not None
+        self._note_home(own)
         here, v = own.position_ned_m(now_s), own.velocity_ned_mps
         self.course.law.follow(
             Trajectory([-_BEFORE_S, _AHEAD_S], [_moved(here, v, -_BEFORE_S), _moved(here, v, _AHEAD_S)])
@@ -181,10 +184,20 @@ class GuardPlan:
 
         Returns requests. Needs a law.
         """
-        if not self._stale and self._led != (self._flown, own.mission_seq):
+        moved = self._note_home(own)
+        if not self._stale and (moved or self._led != (self._flown, own.mission_seq)):
             self._follow(own, now_s)
         self._held_s, self._leg_m = now_s, self.course.leg_heights_m(now_s) or self._leg_m
         return self._fetch(now_s)
+
+    def _note_home(self, own: Ownship) -> bool:
+        """Take a home that was set in flight: the autopilot's mission counts heights from it. Returns whether
+        there is one."""
+        home_m = own.home_alt_msl_m
+        if home_m is None or abs(home_m - self.course.home_alt_msl_m) <= _HOME_MOVED_M:
+            return False
+        self.course.home_alt_msl_m = home_m
+        return True
 
     def _follow(self, own: Ownship, now_s: float) -> None:
         assert self.course.law is not None

@@ -38,6 +38,11 @@ class OurModes:
         self.confirmed, self._shown, self._stream_s = False, False, now_s
         self._custom_before = None if heartbeat is None else heartbeat.custom_mode
 
+    @property
+    def asked(self) -> bool:
+        """Whether our mode has been requested and not been reported yet."""
+        return self._stream_s is None and not self.confirmed
+
     def keep(self, now_s: float) -> list[Command]:
         """Get the vehicle into our mode, and keep it there, while setpoints stream. Returns requests."""
         if self._own.mode is FlightMode.EXTERNAL:

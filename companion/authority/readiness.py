@@ -16,6 +16,7 @@ from companion.events import (
     Heartbeat,
     Landed,
     Say,
+    SecondCompanion,
     Severity,
     TwoAutopilots,
 )
@@ -44,6 +45,8 @@ class Readiness:
         """DMUCA_ENABLE as set by a ground station."""
         self.unclear: str | None = None
         """Why it is not known which vehicle on the link is ours; None if it is known."""
+        self.second: str | None = None
+        """Why there is another companion that may command the vehicle; None if there is none."""
         self.lost: str | None = None
         """Why the gate blocks all commands until authority is given back; None if it does not."""
         self._seen_down = config.flight.take_in_flight
@@ -55,6 +58,18 @@ class Readiness:
     def two_autopilots_heard(self, event: TwoAutopilots) -> list[Command]:
         """Note that a second autopilot was heard, so that it is no longer known which vehicle is ours."""
         self.unclear = event.reason
+        return [Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}")]
+
+    def second_companion_heard(self, event: SecondCompanion) -> list[Command]:
+        """Note that another companion with our own id was heard, or is gone.
+
+        A vehicle that we control is kept, because released it would be left to the other one.
+        """
+        self.second = event.reason
+        if self._config.flight.use == "watch":
+            return []
+        if event.reason is None:
+            return [Say(severity=Severity.NOTICE, text="DMUCA: the other companion is gone")]
         return [Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}")]
 
     def gate_authority_changed(self, event: GateAuthority, state: State) -> list[Command]:
@@ -120,6 +135,8 @@ class Readiness:
             return f"authority lost: {self.lost}"
         if config.flight.use == "watch":
             return 'flight.use is "watch"'
+        if self.second is not None:
+            return self.second
         if not self.enabled:
             return SWITCHED_OFF
         if own.heartbeat is None or not own.heartbeat.armed:

@@ -34,6 +34,8 @@ class Refused:
     """The gate refused a command, as a fault of ours."""
     lost: str | None = None
     """The gate refused a command because authority was lost."""
+    second: str | None = None
+    """Another companion may command the vehicle."""
     traffic: str | None = None
     """Traffic has spent its allowance (`authority.influence`), so the vehicle is asked to hold."""
 
@@ -72,6 +74,8 @@ class Reasons:
                 return f"taking control in mode {mode_name(self._own.heartbeat)}"
             case Trigger.LEFT if seen is not None:
                 return f"the vehicle left its mission for mode {mode_name(seen)}"
+            case Trigger.LEFT if refused.second is not None:
+                return refused.second
             case Trigger.RESUMED if handback is not None:
                 return handback.how(now_s)
             case Trigger.ENDED:

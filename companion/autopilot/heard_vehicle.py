@@ -20,7 +20,7 @@ from companion.autopilot.encoders import AUTOPILOT_COMPONENT
 from companion.autopilot.readers import Fields, unpack
 from companion.autopilot.wire import Frame, FrameScanner
 from companion.config import VehicleConfig
-from companion.events import Firmware, Heartbeat, TwoAutopilots
+from companion.events import Firmware, Heartbeat, SecondCompanion, TwoAutopilots
 
 LOST_AFTER_S = 3.0
 """A longer gap between two heartbeats means that the link dropped or the vehicle restarted."""
@@ -30,7 +30,14 @@ order."""
 _OTHER_CLOCK_S, _OTHER_WITHIN_S, _OTHERS = 10.0, 10.0, 3
 """A clock that goes back by more than `_OTHER_CLOCK_S` so often within `_OTHER_WITHIN_S` belongs to two
 autopilots. No vehicle restarts so often, and no link delivers messages that are so old."""
+_OWN_KEPT = 5
+"""Number of our latest heartbeats that are recognised when a router sends them back to us. Those of a second
+companion that sends as many messages as we do may have the same numbers, but never as seen from both."""
+_SECOND_HEARTBEATS, _SECOND_APART_S, _SECOND_GONE_S = 3, 0.5, 5.0
+"""So many heartbeats under our own id, this far apart, are those of a second companion. A companion that was
+restarted may hear the last one of its own former process. It is gone after this time without any."""
 _GROUND_STATION = mavlink.MAV_TYPE_GCS
+_GENERIC = mavlink.MAV_TYPE_GENERIC
 _HEARTBEAT_ID = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
 
@@ -61,10 +68,15 @@ class HeardVehicle:
         self._config = config
         self._counts = counts
         self._heartbeat_s = -math.inf
+        self._armed = False
         self._boot_s: float | None = None
         self._boot_heard_s = 0.0
         self._back_s: deque[float] = deque(maxlen=_OTHERS)
         """When the vehicle's clock last went far back."""
+        self._sent: deque[int] = deque(maxlen=_OWN_KEPT)
+        """Sequence numbers of our latest heartbeats."""
+        self._second_s, self._second_count = -math.inf, 0
+        """Time of the last heartbeat of another companion under our own id, and how many came."""
 
     # ------------------------------------------------------------ sender and target of frames
 
@@ -101,7 +113,7 @@ class HeardVehicle:
         """Take the vehicle's HEARTBEAT. Returns whether the vehicle is new or was away."""
         known = self.vehicle
         dropped = known is not None and not self.is_connected(now_s)
-        self._heartbeat_s = now_s
+        self._heartbeat_s, self._armed = now_s, heartbeat.armed
         self._counts.drops += dropped
         if known is None or known.vehicle_type != heartbeat.vehicle_type:
             self.vehicle = Vehicle(
@@ -111,6 +123,20 @@ class HeardVehicle:
                 refusal=refusal(heartbeat.firmware, heartbeat.vehicle_type),
             )
         return known is None or dropped
+
+    def is_of_another(self, heartbeat: Heartbeat, now_s: float) -> bool:
+        """Whether a HEARTBEAT with our vehicle's id is that of another vehicle, and says nothing about ours.
+
+        The firmware never changes, and MAV_TYPE does not change while the vehicle is armed, except from and
+        to the generic type, which ArduPilot has while it starts. A vehicle that was away may be another one
+        now. If the vehicle itself has changed without a pause, its own heartbeats cease, and that ends
+        authority.
+        """
+        known = self.vehicle
+        if known is None or heartbeat.firmware is not known.firmware:
+            return known is not None
+        kinds = {known.vehicle_type, heartbeat.vehicle_type}
+        return self._armed and self.is_connected(now_s) and len(kinds) > 1 and _GENERIC not in kinds
 
     def is_connected(self, now_s: float) -> bool:
         """Whether the vehicle's last heartbeat is not older than `LOST_AFTER_S`."""
@@ -135,12 +161,16 @@ class HeardVehicle:
     def second_clock(self, now_s: float) -> TwoAutopilots | None:
         """Event if two autopilots with our vehicle's system id are on the link; reported once. Both firmwares
         have the id 1 unless it was changed, and whatever is sent to one of them reaches both."""
-        back_s, vehicle = self._back_s, self.vehicle
-        if self.unclear is not None or vehicle is None or len(back_s) < _OTHERS:
+        if len(self._back_s) < _OTHERS or now_s - self._back_s[0] > _OTHER_WITHIN_S:
             return None
-        if now_s - back_s[0] > _OTHER_WITHIN_S:
+        return self.second_with_our_id()
+
+    def second_with_our_id(self) -> TwoAutopilots | None:
+        """Event that another autopilot has our vehicle's id; None if the vehicle is unclear already."""
+        if self.unclear is not None or self.vehicle is None:
             return None
-        self.unclear = f"two autopilots with system id {vehicle.system_id} on this link: give each its own"
+        own_id = self.vehicle.system_id
+        self.unclear = f"two autopilots with system id {own_id} on this link: give each its own"
         return TwoAutopilots(reason=self.unclear)
 
     def second_autopilot(self, frame: Frame) -> TwoAutopilots | None:
@@ -156,6 +186,37 @@ class HeardVehicle:
         first, second = sorted((vehicle.system_id, frame.system_id))
         self.unclear = f"two autopilots on this link (systems {first} and {second}): set vehicle.system_id"
         return TwoAutopilots(reason=self.unclear)
+
+    # ------------------------------------------------------------ our own id
+
+    def heartbeat_sent(self, sequence: int) -> None:
+        """Note the sequence number of our own HEARTBEAT."""
+        self._sent.append(sequence)
+
+    def second_companion(self, frame: Frame, now_s: float) -> SecondCompanion | None:
+        """Event if a HEARTBEAT shows that another companion has our own id; reported once until it is gone.
+
+        A router may send our own frames back to us. Their sequence numbers show that they are ours.
+        """
+        vehicle, own_id = self.vehicle, self._config.component_id
+        if vehicle is None or (frame.system_id, frame.component_id) != (vehicle.system_id, own_id):
+            return None
+        if frame.sequence in self._sent or now_s - self._second_s < _SECOND_APART_S:
+            return None
+        self._second_s, self._second_count = now_s, self._second_count + 1
+        if self._second_count != _SECOND_HEARTBEATS:
+            return None
+        ours = f"system id {vehicle.system_id} and component id {own_id}"
+        return SecondCompanion(
+            reason=f"another companion on this link has our {ours}: stop one, or set its vehicle.component_id"
+        )
+
+    def second_companion_gone(self, now_s: float) -> SecondCompanion | None:
+        """Event if the second companion has not been heard for a while; reported once."""
+        if now_s - self._second_s <= _SECOND_GONE_S or not self._second_count:
+            return None
+        told, self._second_count = self._second_count >= _SECOND_HEARTBEATS, 0
+        return SecondCompanion() if told else None
 
 
 def from_autopilot(fields: Fields) -> bool:

@@ -68,8 +68,10 @@ from companion.events import (
     DownloadMission,
     Event,
     Firmware,
+    FlightMode,
     GlobalPosition,
     LocalPosition,
+    MissionCurrent,
     Say,
     SetMode,
     SetSpeed,
@@ -210,7 +212,7 @@ class AutopilotLink:
                 elif self._heard.is_ours(frame):
                     self._take(frame, now_s)
                 elif not self._ground_stations.handle(frame):
-                    self._leave(frame)
+                    self._leave(frame, now_s)
             except PeerDataError as error:
                 self.counts.bad_values += 1
                 self.last_bad = str(error)
@@ -224,13 +226,12 @@ class AutopilotLink:
     def _firmware(self) -> Firmware | None:
         return None if self.vehicle is None else self.vehicle.firmware
 
-    def _leave(self, frame: Frame) -> None:
+    def _leave(self, frame: Frame, now_s: float) -> None:
         self.counts.foreign += 1
         if frame.message_id == _HEARTBEAT_ID:
             self._remote_id.note_heartbeat(frame, self._vehicle_system)
-            two = self._heard.second_autopilot(frame)
-            if two is not None:
-                self._events.append(two)
+            two = self._heard.second_autopilot(frame) or self._heard.second_companion(frame, now_s)
+            self._events += [] if two is None else [two]
 
     def _take_remote_id(self, frame: Frame, now_s: float) -> None:
         event = self._remote_id.event(frame, self._vehicle_system, now_s)
@@ -270,6 +271,8 @@ class AutopilotLink:
             return
         if isinstance(event, GlobalPosition):
             self._nose.heard(fields[8])
+        if isinstance(event, MissionCurrent):
+            self._downloads.on_current(event, now_s)
         if isinstance(event, _STAMPED):
             self._order.stamped(frame.sequence, event.time_boot_s)
             self._on_boot_time(event.time_boot_s, now_s)
@@ -293,6 +296,11 @@ class AutopilotLink:
             self.counts.foreign += 1
             return
         event = heartbeat(frame.system_id, fields)
+        if self._heard.is_of_another(event, now_s):
+            self.counts.foreign += 1
+            two = self._heard.second_with_our_id()
+            self._events += [] if two is None else [two]
+            return
         if self._order.is_overtaken(frame.sequence):
             event = msgspec.structs.replace(event, overtaken=True)
         anew = self._heard.on_heartbeat(event, now_s)
@@ -334,7 +342,10 @@ class AutopilotLink:
         last_s = self._heartbeat_sent_s
         if last_s is None or now_s - last_s >= HEARTBEAT_PERIOD_S - _EPSILON_S:
             self._heartbeat_sent_s = now_s
+            self._heard.heartbeat_sent(self._outbox.next_sequence)
             self._outbox.queue(encoders.heartbeat())
+        gone = self._heard.second_companion_gone(now_s)
+        self._events += [] if gone is None else [gone]
         self._polling.advance(now_s)
         if self._component is not None and self.vehicle is not None:
             for frame in self._component.due(self.vehicle.system_id, now_s):
@@ -392,6 +403,11 @@ class AutopilotLink:
                 self._outbox.say(command.severity, command.text)
             case _:
                 raise ValueError(f"{type(command).__name__} is not a command for the autopilot")
+
+    @property
+    def asked_mode(self) -> FlightMode | None:
+        """The mode that the vehicle is being asked for; None if no request runs."""
+        return self._mode_and_speed.asked_mode
 
     def cancel_mode(self) -> None:
         """Stop asking for a mode or a speed, because the caller has given up the vehicle."""

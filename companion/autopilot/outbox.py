@@ -38,6 +38,11 @@ class Outbox:
         self._setpoint: Outgoing | None = None
         self._text_id = 0
 
+    @property
+    def next_sequence(self) -> int:
+        """Sequence number of the next frame that is queued."""
+        return int(self._writer.encoder.seq)
+
     def speak_as(self, system_id: int) -> None:
         """The vehicle is known: use its system id from now on."""
         self._writer.encoder.srcSystem = system_id

@@ -74,7 +74,9 @@ class PluginLaw(Law):
         self._own_law: OwnLaw | None = None
         try:
             self._own_law = self._plugin.loaded(avoidance)
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             self._fail(error)
 
     def follow(self, trajectory: Trajectory) -> None:
@@ -117,7 +119,9 @@ class PluginLaw(Law):
             seen = dataclasses.replace(situation, neighbours=tuple(self._take(situation.neighbours)))
             try:
                 return _velocity(self._own_law.choose(seen, follow, self._configured[1]))
-            except (Exception, SystemExit) as error:
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:
                 self._fail(error)
         return 0.0, 0.0, 0.0
 

@@ -31,6 +31,7 @@ from companion.events import (
     LandedState,
     SetMode,
     SetSpeed,
+    VehicleText,
     VelocitySetpoint,
 )
 from companion.runtime.record.code import code_sha256
@@ -48,6 +49,8 @@ _SETTLED_S = 10.0
 _BEHIND_SHARE = 0.01
 _LOGGED_S = 1.5
 """Decisions are logged once a second while nothing is avoided, and more often otherwise."""
+_SIMULATED = "SIM "
+"""Beginning of the texts of ArduPilot's simulation, such as "SIM Hit ground at 0.5 m/s" at each landing."""
 _COMMANDS = (VelocitySetpoint, SetMode, SetSpeed)
 
 
@@ -73,6 +76,8 @@ class Seen:
     worst_gap_s: float = 0.0
     behind: int = 0
     """Steps with late input, after the first seconds."""
+    simulated: str | None = None
+    """A text of the vehicle that only a simulated one sends; None if there was none."""
     armed: bool = False
     down_last: bool = True
     """The vehicle was on the ground at the end, as far as it reported that."""
@@ -167,6 +172,8 @@ def _read_steps(seen: Seen, steps: Iterator[Step]) -> None:
                     seen.armed = seen.armed or event.armed
                 case GlobalPosition() if in_air:
                     seen.highest_m = max(seen.highest_m, event.height_above_home_m)
+                case VehicleText() if event.text.startswith(_SIMULATED):
+                    seen.simulated = event.text
                 case InputBehind() if seen.duration_s > _SETTLED_S:
                     seen.behind += 1
                 case GateRefused() if event.ends != "nothing":
@@ -246,6 +253,8 @@ def _of_any_run(seen: Seen, config: Config) -> list[Check]:
     code = seen.manifest.get("code_sha256")
     return [
         _check("kind of run", flown, "'companion run', no dry run", what == RUN and dry is False),
+        _check("vehicle", "not known whether it is simulated" if seen.simulated is None
+               else f'simulated: it said "{seen.simulated}"', "anything", True),
         _check("software of the run", seen.header.software, __version__, seen.header.software == __version__),
         _check("code of the run", "the same" if code == code_sha256() else "other code", "the same",
                code == code_sha256()),

@@ -66,6 +66,7 @@ from companion.events.vehicle import (
     LocalPosition,
     ModeRefused,
     RcChannels,
+    SecondCompanion,
     SetMode,
     SetSpeed,
     TwoAutopilots,
@@ -81,9 +82,9 @@ __all__ = [
     "GlobalPosition", "GnssFix", "Heartbeat", "InputBehind", "Landed", "LandedState", "LocalPosition",
     "MissionCurrent", "MissionDownloaded", "MissionItem", "MissionRefused", "ModeRefused", "ObstaclePoint",
     "ObstacleScan", "OperatorData", "Parameter", "RadioState", "RcChannels", "RemoteIdHeard",
-    "RemoteIdModule", "Say", "SensedAircraft", "SetMode", "SetSpeed", "Settings", "Severity", "Threat",
-    "TrackFlagged", "TrackView", "TrafficReport", "TransportsChosen", "TwoAutopilots", "VehicleParameters",
-    "VehicleText", "VehicleTime", "VelocitySetpoint",
+    "RemoteIdModule", "Say", "SecondCompanion", "SensedAircraft", "SetMode", "SetSpeed", "Settings",
+    "Severity", "Threat", "TrackFlagged", "TrackView", "TrafficReport", "TransportsChosen", "TwoAutopilots",
+    "VehicleParameters", "VehicleText", "VehicleTime", "VelocitySetpoint",
 ]  # fmt: skip
 
 AnyEvent = (
@@ -91,7 +92,7 @@ AnyEvent = (
     | AirPressure | ClockRead | LandedState | EstimatorState | RcChannels | ModeRefused | MissionDownloaded
     | MissionRefused | MissionCurrent | FenceDownloaded | FenceRefused | VehicleParameters | AdsbVehicle
     | VehicleText | InputBehind | GateRefused | GateAuthority | RemoteIdHeard | RadioState | OperatorData
-    | RemoteIdModule | Settings | Attitude | ObstacleScan | ObstaclePoint | SensedAircraft
+    | RemoteIdModule | Settings | Attitude | ObstacleScan | ObstaclePoint | SensedAircraft | SecondCompanion
 )  # fmt: skip
 
 AnyCommand = (

@@ -76,6 +76,13 @@ class TwoAutopilots(Event, frozen=True):
     reason: str
 
 
+class SecondCompanion(Event, frozen=True):
+    """Another companion with our own system and component id is on the link, or is no longer."""
+
+    reason: str | None = None
+    """What it is and what to do, in words; None if it is gone."""
+
+
 class GlobalPosition(Event, frozen=True):
     """GLOBAL_POSITION_INT: the fused own position and velocity."""
 

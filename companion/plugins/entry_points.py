@@ -74,7 +74,9 @@ def load(group: str, name: str) -> Plugin:
     sys.path += here
     try:
         loaded = entry.load()
-    except (Exception, SystemExit) as error:  # whatever its modules do when they are imported
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever its modules do when they are imported
         raise ConfigError(
             f"{name!r}: the plug-in {value} of {distribution} ({group}) cannot be loaded: {cause(error)}"
         ) from error

@@ -358,8 +358,7 @@ class Flight:
         try:
             self._server.serve(lambda: self.live(now_s))
         except Exception as error:
-            # This is a bug, but only in the live status. Unlike a bug in the core it must not end the
-            # flight.
+            # This is a bug, but only in the live status. Unlike one in the core it must not end the flight.
             self._server.close()
             self._server = None
             self._say(f"status: no longer served: {type(error).__name__}: {error}")
@@ -373,21 +372,30 @@ class Flight:
                 self._say(f"a Remote ID broadcast was not sent: {error}")
 
     def _let_go(self) -> None:
-        """Tell the pilot. Ask a vehicle that we control to hold, before its setpoint-loss failsafe acts."""
+        """Tell the pilot. Ask a vehicle that is in our mode, or still enters it, to hold."""
         self._watchdog.stop()  # Nothing is reported to it from here on, and the wait has a limit of its own.
         self._notifier.stopping()
-        self.onboard.say_stopping(clock.now_s())
+        onboard, asked = self.onboard, self.onboard.link.asked_mode
+        onboard.say_stopping(clock.now_s())
         self._send()
-        if not (self.onboard.core.in_control and self.onboard.commanding):
+        if not onboard.core.in_control or not onboard.commanding:
             self._wait(clock.now_s() + _LOOK_S)  # Closing TCP may discard what the far end has not read.
-            return
+            if asked is FlightMode.EXTERNAL:
+                onboard.link.cancel_mode()
+            if asked is None or not self._enters(asked) or asked is not FlightMode.EXTERNAL:
+                return
         self._say("stopping: asking the vehicle to hold")
+        onboard.let_go(clock.now_s())
+        self._enters(FlightMode.HOLD)
+
+    def _enters(self, mode: FlightMode) -> bool:
+        """Keep the link alive until the vehicle reports a mode. Returns False if it does not in time."""
         end = clock.now_s() + _LET_GO_S
-        self.onboard.let_go(clock.now_s())
-        while (now := clock.now_s()) < end and self.onboard.core.own.mode is not FlightMode.HOLD:
+        while (now := clock.now_s()) < end and self.onboard.core.own.mode is not mode:
             self._wait(now + 0.05)
             self.onboard.idle(clock.now_s(), read_s=-math.inf if self._read_s is None else self._read_s)
             self._send()
+        return self.onboard.core.own.mode is mode
 
     def _close(self) -> None:
         gc.enable()
@@ -427,10 +435,9 @@ class Flight:
     def _look_after(self, now_s: float) -> None:
         """Report troubles that do not end the flight. In a dry run the pilot receives no reports."""
         troubles = self._troubles
-        if self._signing.unread is not None:
-            text = f"signing: {self._signing.unread}; signing starts at this computer's time"
-            troubles.note(Trouble.SIGNING_UNREAD, text)
+        unread = self._signing.unread and f"{self._signing.unread}; signing starts at this computer's time"
         kept = {
+            Trouble.SIGNING_UNREAD: ("signing", unread),
             Trouble.NOT_RECORDED: ("not recording", self._run.error),
             Trouble.SLOW_DISK: ("recording", None if self._run.error else self._run.slow(now_s)),
             Trouble.SETTINGS_NOT_KEPT: ("settings not saved", self._kept_settings.error),

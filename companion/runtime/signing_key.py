@@ -145,7 +145,7 @@ class KeptSigning:
     def _write(self, signing: Signing) -> None:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            replace_file(self._path, f"{signing.timestamp}\n".encode())
+            replace_file(self._path, f"{max(signing.timestamp, self._newest_by_others())}\n".encode())
             self.error = None
         except OSError as error:
             self.error = f"{error.filename or self._path}: cannot be written: {error.strerror}"
@@ -153,17 +153,32 @@ class KeptSigning:
     def _stored(self) -> int:
         """First timestamp that was certainly not used before; 0 if no stored timestamp is known."""
         try:
-            text = self._path.read_text("ascii")
+            last = self._read()
         except FileNotFoundError:
             return 0
         except OSError as error:
             self.unread = f"{self._path}: cannot be read: {error.strerror}"
             return 0
-        except UnicodeDecodeError:
-            text = ""
-        start = int(text) + int(PERIOD_S * TICKS_PER_S) if text.strip().isdigit() and len(text) < 20 else None
-        # The last timestamp can never be followed by another: the vehicle would take one frame and no more.
-        if start is None or start >= LATEST:
+        if last is None:
             self.unread = f"{self._path}: damaged"
             return 0
-        return start
+        return last + _ticks()
+
+    def _newest_by_others(self) -> int:
+        """Timestamp in the file, which another process may have written; 0 if there is none."""
+        try:
+            return self._read() or 0
+        except OSError:
+            return 0
+
+    def _read(self) -> int | None:
+        """Timestamp in the file; None if it is damaged. Raises OSError if it cannot be read."""
+        text = self._path.read_bytes()
+        last = int(text) if text.strip().isdigit() and len(text) < 20 else LATEST
+        # The last timestamp can never be followed by another: the vehicle would take one frame and no more.
+        return last if last + _ticks() < LATEST else None
+
+
+def _ticks() -> int:
+    """The time between two writes, as a timestamp."""
+    return int(PERIOD_S * TICKS_PER_S)

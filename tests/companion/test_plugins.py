@@ -42,6 +42,7 @@ def test_a_plug_in_is_loaded_with_its_distribution(site):
         ("import no_such_module", "ModuleNotFoundError: No module named 'no_such_module'"),
         ("class Other: pass", "AttributeError: module 'one' has no attribute 'Law'"),
         ("raise SystemExit(2)", "SystemExit: 2"),
+        ("raise GeneratorExit('cancelled')", "GeneratorExit: cancelled"),
         ("def broken(:", "SyntaxError: invalid syntax"),
         ("class E(Exception):\n    def __str__(self): raise OSError\nraise E", "E: its text cannot be read"),
     ],

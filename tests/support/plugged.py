@@ -83,6 +83,18 @@ class Exits(Straight):
         raise SystemExit(3)
 
 
+class Cancelled(Straight):
+    """Fails with an exception that is no Exception, as asyncio's CancelledError."""
+
+    def choose(self, situation, follow, limits):
+        raise GeneratorExit("cancelled")
+
+
+class Interrupted(Straight):
+    def choose(self, situation, follow, limits):
+        raise KeyboardInterrupt
+
+
 class Unmade:
     def __init__(self, avoidance):
         raise OSError("no weights")
@@ -96,7 +108,7 @@ class Clumsy(Straight):
 '''
 KINDS = (
     "Straight", "Follow", "Aside", "East", "Down", "Nan", "Huge", "Two", "Words", "Nothing", "Raises",
-    "Exits", "Unmade", "Clumsy",
+    "Exits", "Cancelled", "Interrupted", "Unmade", "Clumsy",
 )  # fmt: skip
 
 

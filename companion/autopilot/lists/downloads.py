@@ -15,6 +15,7 @@ from companion.events import (
     Event,
     FenceDownloaded,
     FenceRefused,
+    MissionCurrent,
     MissionDownloaded,
     MissionRefused,
 )
@@ -31,6 +32,8 @@ class Downloads:
         self._download: MissionDownload | None = None
         self._next: int | None = None
         """Type of the list to download after the current one."""
+        self._current: MissionCurrent | None = None
+        """Latest report of the mission that the vehicle holds."""
 
     def fetch(self, mission_type: int, now_s: float) -> None:
         """Download a list. A download of the same list begins again; the other list waits for the end of the
@@ -43,8 +46,19 @@ class Downloads:
         else:
             skip_home = mission_type == MISSION and DIALECTS[vehicle.firmware].home_is_item_zero
             self._download = MissionDownload(
-                vehicle.system_id, now_s, mission_type=mission_type, skip_home=skip_home
+                vehicle.system_id,
+                now_s,
+                mission_type=mission_type,
+                skip_home=skip_home,
+                current=self._current,
             )
+            self.advance(now_s)
+
+    def on_current(self, event: MissionCurrent, now_s: float) -> None:
+        """Take MISSION_CURRENT of our vehicle."""
+        self._current = event
+        if self._download is not None and self._download.mission_type == MISSION:
+            self._download.on_current(event, now_s)
             self.advance(now_s)
 
     def on_count(self, frame: Frame, fields: Fields, now_s: float) -> None:

@@ -7,6 +7,11 @@ MISSION_REQUEST; vehicles that hold fences by this protocol do not need it. Eith
 In the answers of both firmwares, `mission_type` shows which list they belong to. MAVLink 1 has no such field:
 ArduPilot refuses to serve a fence on a link set to it, and an older vehicle would send its mission instead. A
 fence download is therefore given up at the first answer in MAVLink 1.
+
+A vehicle answers each request with the item that it holds then, so a mission that is replaced meanwhile
+would arrive as a mixture. MISSION_CURRENT shows that: its number of items or, on PX4, its id changes. A
+mission with an id is complete only when a later MISSION_CURRENT has the same id. ArduPilot gives no id, so on
+ArduPilot another mission with the same number of items is not noticed.
 """
 
 from __future__ import annotations
@@ -19,13 +24,15 @@ from companion.autopilot.encoders import Outgoing, mission_ack, mission_request,
 from companion.autopilot.readers import Fields, finite_or_none
 from companion.autopilot.wire import names_of
 from companion.errors import PeerDataError
-from companion.events import MissionItem
+from companion.events import MissionCurrent, MissionItem
 
 RETRY_S = 1.0
 MAX_TRIES = 5
 INT_TRIES = 3
 """Number of tries with MISSION_REQUEST_INT before the older MISSION_REQUEST is used."""
 TOTAL_S = 60.0
+CONFIRMED_S = 5.0
+"""Longest wait for the MISSION_CURRENT that confirms a downloaded mission. It comes once a second."""
 MAX_ITEMS = 2000
 
 GLOBAL_FRAMES = frozenset(
@@ -81,8 +88,20 @@ class MissionDownload:
     reason)."""
 
     def __init__(
-        self, system_id: int, now_s: float, *, mission_type: int = MISSION, skip_home: bool = False
+        self,
+        system_id: int,
+        now_s: float,
+        *,
+        mission_type: int = MISSION,
+        skip_home: bool = False,
+        current: MissionCurrent | None = None,
     ) -> None:
+        """Create a download that has not asked for anything.
+
+        Args:
+            skip_home: leave out the first item.
+            current: the vehicle's latest report of its mission; None if there is none.
+        """
         self.mission_type = mission_type
         self.items: tuple[MissionItem, ...] | None = None
         self.failed: str | None = None
@@ -93,12 +112,29 @@ class MissionDownload:
         self._got: list[MissionItem] = []
         self._tries = 0
         self._next_s = now_s
+        self._mark = None if current is None else (current.total, current.mission_id)
+        """Number of items and id of the vehicle's mission."""
+        self._confirmed = False
+        """The mark was reported again after the last item had arrived."""
+
+    @property
+    def _whole(self) -> bool:
+        """Whether all items have arrived."""
+        return self._count is not None and len(self._got) == self._count
+
+    @property
+    def _has_id(self) -> bool:
+        return self.mission_type == MISSION and self._mark is not None and self._mark[1] != 0
 
     def due(self, now_s: float) -> Outgoing | None:
         """Message to send now. After the last try or the total time, the download has failed."""
         if self.failed is not None:
             return self._cancel()
-        if self._count is not None and len(self._got) == self._count:
+        if self._whole and self._has_id and not self._confirmed:
+            if now_s - self._next_s > CONFIRMED_S:
+                self.failed = "MISSION_CURRENT, which confirms the mission, was not received"
+            return self._cancel() if self.failed else None
+        if self._whole:
             self.items = tuple(self._got[1:] if self._skip_home else self._got)
             return mission_ack(self._system_id, self.mission_type)
         if now_s < self._next_s:
@@ -133,6 +169,16 @@ class MissionDownload:
         self._count = count
         self._got = []
         self._progress(now_s)
+
+    def on_current(self, event: MissionCurrent, now_s: float) -> None:
+        """Take MISSION_CURRENT. Another number of items or id means another mission, so the download begins
+        again."""
+        mark = event.total, event.mission_id
+        changed = self._mark not in (None, mark)
+        self._mark, self._confirmed = mark, self._whole and not changed
+        if changed:
+            self._count, self._got = None, []
+            self._progress(now_s)
 
     def on_item(self, message_id: int, fields: Fields, now_s: float) -> None:
         """Take MISSION_ITEM_INT or MISSION_ITEM in wire order. Any item but the awaited one is ignored."""

@@ -53,6 +53,11 @@ class ModeAndSpeed:
         self._mode_wanted_s = -math.inf
         """When a HEARTBEAT was last requested."""
 
+    @property
+    def asked_mode(self) -> FlightMode | None:
+        """The mode that is being asked for; None if no request runs."""
+        return None if self._mode is None else self._mode.mode
+
     def ask_mode(self, command: SetMode, now_s: float) -> None:
         """Ask for a mode. This replaces an earlier request.
 

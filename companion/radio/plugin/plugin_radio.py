@@ -168,7 +168,9 @@ def open_radio(section: PluginRadio, context: RadioContext) -> GuardedRadio:
         return GuardedRadio(plugin.loaded(copy.deepcopy(section.options), context), plugin)
     except ConfigError as error:
         raise ConfigError(f"radio.options: {error}") from error
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
         raise ConfigError(f"radio {plugin} cannot be opened: {plugins.cause(error)}") from error
 
 

@@ -10,6 +10,7 @@ from companion.events import (
     Firmware,
     FlightMode,
     Heartbeat,
+    SecondCompanion,
     TwoAutopilots,
 )
 from tests.companion.autopilot.conftest import Scripted
@@ -148,3 +149,89 @@ def test_two_clocks_under_one_system_id_make_it_unclear(configured, apart_s, per
         "two autopilots with system id 1 on this link: give each its own"
     ] * unclear
     assert (scripted.link.unclear is not None) is unclear
+
+
+ARMED = 129
+PLANE = 1
+
+
+@pytest.mark.parametrize(("autopilot", "vehicle_type"), [(3, PLANE), (12, 2)])
+def test_a_heartbeat_of_another_vehicle_under_our_id_says_nothing_about_ours(autopilot, vehicle_type) -> None:
+    """It would end our authority in the middle of a conflict, as if the pilot had taken over."""
+    scripted = Scripted()
+    scripted.heartbeat(GUIDED, base_mode=ARMED)
+    other = mavlink.MAVLink_heartbeat_message(vehicle_type, autopilot, ARMED, 0, 4, 3)
+    (told,) = scripted.says(other)
+    assert told == TwoAutopilots(reason="two autopilots with system id 1 on this link: give each its own")
+    assert scripted.says(other) == []
+    assert str(scripted.link.vehicle) == "ardupilot, system 1, MAV_TYPE 2"
+    assert scripted.link.counts.foreign == 2
+    (own,) = scripted.heartbeat(GUIDED, base_mode=ARMED)
+    assert isinstance(own, Heartbeat)
+    assert own.mode is FlightMode.EXTERNAL
+
+
+@pytest.mark.parametrize(
+    ("vehicle_type", "base_mode", "away_s"), [(PLANE, 1, 0.1), (0, ARMED, 0.1), (PLANE, ARMED, 3.5)]
+)
+def test_a_vehicle_may_become_another_one_on_the_ground_or_after_a_pause(
+    vehicle_type, base_mode, away_s
+) -> None:
+    """FRAME_CLASS is set on the ground. ArduPilot is of the generic type while it starts."""
+    scripted = Scripted()
+    scripted.heartbeat(GUIDED, base_mode=base_mode)
+    scripted.after(away_s)
+    (event,) = scripted.heartbeat(0, vehicle_type=vehicle_type, base_mode=ARMED)
+    assert isinstance(event, Heartbeat)
+    assert event.mode is not FlightMode.EXTERNAL
+    assert scripted.link.vehicle is not None
+    assert scripted.link.vehicle.vehicle_type == vehicle_type
+    assert scripted.link.unclear is None
+
+
+SECOND = SecondCompanion(
+    reason="another companion on this link has our system id 1 and component id 191: "
+    "stop one, or set its vehicle.component_id"
+)
+
+
+def seconds(scripted: Scripted, number: int, *others: Scripted) -> list[SecondCompanion]:
+    """What is told while each link hears what all others send, once a second."""
+    events = []
+    for _ in range(number):
+        for link in others:
+            events += scripted.link.receive(link.link.drain(), scripted.now_s)
+            link.heartbeat(GUIDED)
+            link.after(1.0)
+        scripted.heartbeat(GUIDED)
+        events += scripted.after(1.0)
+    return [event for event in events if isinstance(event, SecondCompanion)]
+
+
+def test_a_second_companion_under_our_id_is_told_once_and_again_when_it_is_gone(ardupilot: Scripted) -> None:
+    """Both would command the vehicle."""
+    assert seconds(ardupilot, 2, Scripted()) == []
+    other = Scripted()
+    seconds(other, 30)
+    assert seconds(ardupilot, 30, other) == [SECOND]
+    assert seconds(ardupilot, 20) == [SecondCompanion()]
+    assert seconds(ardupilot, 30, other) == [SECOND]
+
+
+@pytest.mark.parametrize("late_s", [0, 1, 4])
+def test_our_own_frames_that_a_router_sends_back_are_no_second_companion(
+    ardupilot: Scripted, late_s: int
+) -> None:
+    sent = [b""] * late_s
+    for _ in range(60):
+        sent.append(ardupilot.link.drain())
+        assert ardupilot.link.receive(sent[-1 - late_s], ardupilot.now_s) == []
+        ardupilot.heartbeat(GUIDED)
+        assert not [e for e in ardupilot.after(1.0) if isinstance(e, SecondCompanion)]
+
+
+def test_what_is_left_of_our_own_former_process_is_no_second_companion(ardupilot: Scripted) -> None:
+    former = Scripted()
+    seconds(former, 30)
+    assert seconds(ardupilot, 2, former) == []
+    assert seconds(ardupilot, 30) == []

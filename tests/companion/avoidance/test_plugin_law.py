@@ -116,6 +116,7 @@ def test_lowered_limits_apply_at_once():
         ("words", "ValueError: could not convert string to float"),
         ("nothing", "TypeError: 'NoneType' object is not iterable"),
         ("exits", "SystemExit: 3"),
+        ("cancelled", "GeneratorExit: cancelled"),
         ("unmade", "OSError: no weights"),
         ("clumsy", "AttributeError: 'tuple' object has no attribute 'clear'"),
     ],
@@ -136,6 +137,11 @@ def test_it_is_tried_out_on_the_ground(name):
     with pytest.raises(ConfigError, match=f'law "{name}"'):
         try_out(AvoidanceConfig(law=name), LIMITS)
     try_out(AvoidanceConfig(law="aside"), LIMITS)
+
+
+def test_ctrl_c_while_it_decides_is_no_fault_of_its():
+    with pytest.raises(KeyboardInterrupt):
+        fly(law("interrupted"), 1.0)
 
 
 def test_a_law_of_our_own_has_no_fault():

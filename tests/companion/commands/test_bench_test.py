@@ -15,8 +15,8 @@ from companion import config as configuration
 from companion.commands import bench_test, run_evidence
 from companion.commands.cli import main
 from companion.commands.preflight import Preflight
-from companion.event_record import MAGIC, Header, encode
-from companion.events import Firmware, RadioState
+from companion.event_record import MAGIC, Header, Step, encode
+from companion.events import Firmware, RadioState, VehicleText
 from companion.runtime.record.disk import MANIFEST, RUN
 from companion.runtime.record.recorder import write_manifest
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
@@ -191,6 +191,24 @@ def test_what_each_stage_does_not_pass(tmp_path: Path) -> None:
     passed_before(tmp_path, "guard")
     assert judged("guard", watch, lost, *CONFIRM["guard"]) == 1
     assert {"flight.use", "time guarding the mission", "limits.ceiling_height_m"} < set(failed(tmp_path))
+
+
+@pytest.mark.usefixtures("ready")
+@pytest.mark.parametrize(
+    ("text", "measured"),
+    [
+        ("SIM Hit ground at 0.5 m/s", 'simulated: it said "SIM Hit ground at 0.5 m/s"'),
+        ("SIMPLE mode on", "not known whether it is simulated"),
+    ],
+)
+def test_the_evidence_tells_of_a_simulated_vehicle(tmp_path: Path, text: str, measured: str) -> None:
+    watch = config_file(tmp_path, "watch")
+    flown = Flown(watch, airborne=False).run(1.0)
+    said = VehicleText(severity=6, text=text)
+    flown.steps.append(Step(now_s=flown.steps[-1].now_s + 0.05, events=(said,), commands=()))
+    judged("bench", watch, flown.recorded(tmp_path / "run"), *CONFIRM["bench"])
+    last = bench_test.read_evidence(tmp_path / "evidence.json").attempts[-1]
+    assert [check.measured for check in last.checks if check.what == "vehicle"] == [measured]
 
 
 def test_a_pair_that_never_met_or_came_too_near(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from companion.events import (
     Landed,
     MissionCurrent,
     Say,
+    SecondCompanion,
     SetMode,
     TwoAutopilots,
     VelocitySetpoint,
@@ -113,6 +114,19 @@ def test_a_vehicle_that_may_be_a_neighbours_is_not_taken(make_bench):
     assert bench.core.waits_for(bench.now_s) == TWO.reason
     assert not [c for _, c in bench.log if isinstance(c, SetMode | VelocitySetpoint)]
     assert said(bench) == [f"DMUCA: {TWO.reason}"]
+
+
+def test_a_vehicle_that_another_companion_may_command_is_not_taken_until_that_one_is_gone(make_bench):
+    bench = make_bench()
+    bench.extra.append(SecondCompanion(reason="another"))
+    bench.step(600)
+    assert bench.core.state is State.STANDBY
+    assert bench.core.waits_for(bench.now_s) == "another"
+    assert not [c for _, c in bench.log if isinstance(c, SetMode | VelocitySetpoint)]
+    bench.extra.append(SecondCompanion())
+    bench.until(lambda: bench.core.state is State.GUARDING)
+    told = [c.text for _, c in bench.log if isinstance(c, Say) and "other" in c.text]
+    assert told == ["DMUCA: another", "DMUCA: the other companion is gone"]
 
 
 def test_a_vehicle_that_is_only_watched_shows_it_too(make_bench):

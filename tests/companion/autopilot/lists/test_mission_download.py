@@ -1,12 +1,21 @@
 from __future__ import annotations
 
 import math
+import struct
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.events import DownloadMission, Event, MissionDownloaded, MissionItem, MissionRefused
+from companion.autopilot.wire import MavlinkWriter
+from companion.events import (
+    DownloadMission,
+    Event,
+    MissionCurrent,
+    MissionDownloaded,
+    MissionItem,
+    MissionRefused,
+)
 from tests.companion.autopilot.conftest import Scripted
 from tests.support.place import HOME, LAT_E7, LON_E7
 
@@ -170,6 +179,54 @@ def test_a_mission_that_changes_meanwhile_is_begun_again(px4: Scripted) -> None:
     (downloaded,) = px4.says(item(0))
     assert isinstance(downloaded, MissionDownloaded)
     assert len(downloaded.items) == 1
+
+
+def current(scripted: Scripted, total: int, mission_id: int) -> list[Event]:
+    """MISSION_CURRENT with the fields that pymavlink's layout lacks."""
+    payload = struct.pack("<HHBBI", 0, total, 3, 1, mission_id)
+    frame = MavlinkWriter(1, 1).pack_payload(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT, payload)
+    return [e for e in scripted.link.receive(frame, scripted.now_s) if not isinstance(e, MissionCurrent)]
+
+
+@pytest.mark.parametrize("marks", [((2, 7), (2, 8)), ((3, 0), (2, 0))])
+def test_a_mission_that_is_replaced_meanwhile_is_no_mixture_of_both(px4: Scripted, marks) -> None:
+    """Items 0 of the old mission and 1 of the new one would be a path that nobody has planned."""
+    old, new = marks
+    current(px4, *old)
+    start(px4)
+    px4.says(count(2))
+    px4.says(item(0, z=30.0))
+    assert current(px4, *new) == []
+    assert "MISSION_REQUEST_LIST" in [m.get_type() for m in px4.told()]
+    assert px4.says(item(1, z=90.0)) == [], "the answer to the request before"
+    px4.says(count(2))
+    events = px4.says(item(0, z=80.0)) + px4.says(item(1, z=90.0)) + current(px4, *new)
+    (downloaded,) = events
+    assert isinstance(downloaded, MissionDownloaded)
+    assert [i.alt_m for i in downloaded.items] == [80.0, 90.0]
+
+
+def test_a_mission_that_is_replaced_by_its_last_item_is_fetched_again(px4: Scripted) -> None:
+    """The id of the new mission is reported after the last item has arrived."""
+    current(px4, 2, 7)
+    start(px4)
+    px4.says(count(2))
+    assert px4.says(item(0)) + px4.says(item(1)) == []
+    assert current(px4, 2, 8) == []
+    px4.says(count(2))
+    px4.says(item(0))
+    assert px4.says(item(1)) == []
+    (downloaded,) = current(px4, 2, 8)
+    assert isinstance(downloaded, MissionDownloaded)
+
+
+def test_a_mission_with_an_id_that_is_not_confirmed_is_refused(px4: Scripted) -> None:
+    current(px4, 1, 7)
+    start(px4)
+    px4.says(count(1))
+    px4.says(item(0))
+    (refused,) = wait(px4, 10)
+    assert refused == MissionRefused(reason="MISSION_CURRENT, which confirms the mission, was not received")
 
 
 def test_no_vehicle_no_mission() -> None:

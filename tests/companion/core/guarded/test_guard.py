@@ -24,6 +24,7 @@ from companion.events import (
     MissionRefused,
     Parameter,
     Say,
+    SecondCompanion,
     TwoAutopilots,
     VehicleParameters,
 )
@@ -83,6 +84,25 @@ def test_a_mission_that_may_be_a_neighbours_is_not_guarded(guarded):
     assert not bench.setpoints([c for _, c in bench.log[before:]])
 
 
+def test_a_mission_is_not_guarded_beside_another_companion(guarded):
+    bench = guarded()
+    bench.extra.append(SecondCompanion(reason="another"))
+    bench.step()
+    assert bench.core.state is State.STANDBY
+    assert [c.reason for _, c in bench.log if isinstance(c, AuthorityChanged)][-1] == "another"
+    before = len(bench.log)
+    meet(bench, seconds=4.0)
+    assert not modes(c for _, c in bench.log[before:])
+    assert not bench.setpoints([c for _, c in bench.log[before:]])
+
+
+def test_another_companion_does_not_end_an_avoidance(guarded):
+    bench = taken(guarded())
+    bench.extra.append(SecondCompanion(reason="another"))
+    bench.step(20)
+    assert bench.core.state in HOLDING
+
+
 def test_a_second_autopilot_while_the_vehicle_is_held_ends_the_guarding_once_the_mission_flies_on(guarded):
     bench = taken(guarded())
     bench.extra.append(TWO)
@@ -93,6 +113,20 @@ def test_a_second_autopilot_while_the_vehicle_is_held_ends_the_guarding_once_the
     assert [c.state for _, c in bench.log if isinstance(c, AuthorityChanged)][-2:] == ["watching", "standby"]
     assert bench.core.waits_for(bench.now_s) == TWO.reason
     assert not [c for _, c in bench.log if getattr(c, "trigger", "") in ("pilot", "unfit")]
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_home_that_is_set_in_flight_moves_the_heights_of_the_mission(guarded, held):
+    """The autopilot counts them from its present home, so the vehicle would be led to another height."""
+    bench = taken(guarded()) if held else guarded()
+    bench.height_m = 30.0  # home is 20 m higher from now on
+    bench.step(20)
+    if not held:
+        taken(bench)
+    bench.step(20)
+    course, own = bench.core.plan.course, bench.core.own
+    assert course.law.trajectory.points_ned_m[-1][2] == pytest.approx(-20.0, abs=0.1)  # 50 m above home
+    assert course.boundary_down_m(80.0, own, bench.now_s) == pytest.approx(-50.0, abs=0.1)
 
 
 def test_no_setpoint_before_it_is_taken(guarded):

@@ -324,3 +324,20 @@ def test_a_vehicle_that_is_slow_to_be_taken_is_not_taken_for_one_that_resumed(gu
     bench.obeys, bench.mode = True, FlightMode.EXTERNAL
     over(bench)
     bench.until(lambda: bench.core.state is State.WATCHING)
+
+
+def test_a_handback_that_the_vehicle_obeys_after_the_pilots_choice_gives_no_authority(guarded):
+    """The request was on its way as he selected his mode. Only what he selects after that counts."""
+    bench = taken(guarded(rearm="mode"))
+    bench.obeys = False
+    over(bench)
+    bench.mode = FlightMode.STICKS
+    bench.step(2)
+    assert bench.core.state is State.YIELDED
+    bench.mode = FlightMode.MISSION
+    bench.step(200)
+    assert bench.core.state is State.YIELDED
+    bench.mode = FlightMode.STICKS
+    bench.step(2)
+    bench.mode = FlightMode.MISSION
+    bench.until(lambda: bench.core.state is State.WATCHING)

@@ -202,6 +202,18 @@ def test_a_peer_that_is_ahead_is_followed_over_the_restart(config, clock):
     assert used(KeptSigning(config))[0] > last
 
 
+def test_of_two_that_share_the_file_the_one_that_is_behind_sets_nothing_back(config, clock):
+    """Two companions of one computer, or a `companion check` beside a flight."""
+    behind = KeptSigning(config)
+    ahead = KeptSigning(config)
+    ahead.signing.timestamp += 1000 * TICKS_PER_S
+    last = used(ahead)[-1]
+    ahead.close()
+    behind.close()
+    clock.utc_s = 0.0
+    assert used(KeptSigning(config))[0] > last
+
+
 @pytest.mark.parametrize("text", ["", "abc", "-5", "9" * 30, "9" * 18, "281474976710655\n", "\xff"])
 def test_a_damaged_file_is_begun_anew_and_told(config, clock, tmp_path, text):
     (tmp_path / "runs").mkdir()
