@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from companion.commands import cli
+from companion.config import RecordConfig
 from companion.runtime import watchdog
 from companion.runtime.status.service_manager import ping_period_s
 
@@ -61,6 +62,15 @@ def test_where_the_service_may_write_is_what_it_writes():
     assert environment["NUMBA_CACHE_DIR"] == f"/var/cache/{values('CacheDirectory')[0]}"
     assert environment["TMPDIR"] == f"/run/{values('RuntimeDirectory')[0]}"
     assert values("WorkingDirectory") == [f"/var/lib/{values('StateDirectory')[0]}"]
+
+
+@pytest.mark.parametrize("path", ["docs/deploy.md", "deploy/debian/postinst", "deploy/container/Dockerfile"])
+def test_the_records_beside_the_configuration_are_where_the_service_may_write(path):
+    text = (ROOT / path).read_text()
+    folder = RecordConfig().folder
+    state = f"/var/lib/{values('StateDirectory')[0]}"
+    assert re.search(f"install -d -o dmuca .*{state}/{folder} ", text)
+    assert re.search(f"ln -sf?n? {state}/{folder} /etc/dmuca/{folder}$", text, re.M)
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")

@@ -331,7 +331,7 @@ rate = 2                            # Location messages a second on each transpo
                                     # "atmc" or a file; without it they stay as configured in [remote_id]
 
 [record]
-# folder = "runs"                   # relative to the folder in which the companion is started
+# folder = "runs"                   # relative to this file
 keep_free_mb = 500.0                # with less free disk space nothing is recorded; the flight goes on
 # delete_oldest = true              # delete the oldest runs; without it a full disk ends the recording
 

@@ -300,6 +300,8 @@ class RecordConfig(_Section, frozen=True):
     """Recording of flights into run folders."""
 
     folder: str = "runs"
+    """Folder of the run folders, the stored settings and the stored signing time (relative to this file;
+    absolute once loaded)."""
     name: str = "companion"
     sync_period_s: Annotated[float, Meta(gt=0, le=60)] = 1.0
     keep_free_mb: Annotated[float, Meta(ge=0, le=10_000_000)] = 200.0

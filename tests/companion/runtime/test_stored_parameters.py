@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -11,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.wire import MavlinkWriter
 from companion.commands.check import _settings
 from companion.commands.preflight import Preflight
-from companion.config import Config, IdentityConfig, LimitsConfig, RecordConfig
+from companion.config import Config, IdentityConfig, LimitsConfig, RecordConfig, load
 from companion.errors import ConfigError
 from companion.events import Settings
 from companion.runtime.flight import Flight
@@ -177,3 +178,14 @@ def test_a_companion_whose_settings_cannot_be_read_is_switched_off_until_a_pilot
     kept.keep(Settings())
     kept.close()
     assert usable_settings(config, lambda _line: None, pytest.fail) == Settings()
+
+
+def test_what_is_stored_does_not_depend_on_the_folder_of_the_start(tmp_path, monkeypatch):
+    (tmp_path / "c.toml").write_text('[identity]\nuas_id = "A1"\n')
+    found = set()
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        found |= {settings_path(load(path)) for path in (tmp_path / "c.toml", Path("../c.toml"))}
+    assert all(path.is_absolute() for path in found)
+    assert {path.resolve() for path in found} == {tmp_path / "runs" / "settings-A1.json"}
