@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 import subprocess
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import pytest
 
 from companion.commands import cli
-from companion.config import RecordConfig
+from companion.config import RecordConfig, VehicleConfig
 from companion.runtime import watchdog
 from companion.runtime.status.service_manager import ping_period_s
 
@@ -40,6 +42,30 @@ def test_the_process_ends_itself_before_the_watchdog_does():
     period_s = ping_period_s({"WATCHDOG_USEC": str(int(limit_s * 1e6))}, 1)
     assert period_s is not None
     assert limit_s - period_s > 20.0
+
+
+def test_systemd_waits_for_a_vehicle_as_long_as_the_companion_may():
+    """A companion that waits for its vehicle must not be killed and started again for ever."""
+    hint = get_type_hints(VehicleConfig, include_extras=True)["wait_s"]
+    longest_s = get_args(hint)[1].le
+    assert float(values("TimeoutStartSec")[0]) >= longest_s + 180.0
+
+
+@pytest.mark.parametrize(("status", "waits"), [("2", "8"), ("1", ""), ("0", ""), ("KILL", "")])
+def test_only_a_companion_that_could_not_begin_waits_before_the_next_start(tmp_path, status, waits):
+    """Starts cost processor time at real-time priority; one that crashed in flight starts again soon."""
+    assert float(values("RestartSec")[0]) <= 2.0
+    assert values("StartLimitIntervalSec") == ["0"]
+    (command,) = values("ExecStopPost")
+    program, option, text = shlex.split(command.removeprefix("-").replace("$$", "$"))
+    sleep = tmp_path / "sleep"
+    sleep.write_text(f'#!/bin/sh\necho "$1" >{tmp_path}/slept\n')
+    sleep.chmod(0o755)
+    environment = {"PATH": str(tmp_path), "EXIT_STATUS": status}
+    subprocess.run([program, option, text], env=environment, check=True)
+    slept = tmp_path / "slept"
+    assert (slept.read_text().strip() if slept.exists() else "") == waits
+    assert float(values("TimeoutStopSec")[0]) > float(waits or 0)
 
 
 def test_short_of_memory_the_kernel_ends_others_first():
