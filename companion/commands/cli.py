@@ -76,7 +76,7 @@ def _parser(given: Sequence[str]) -> argparse.ArgumentParser:
     display = commands.add_parser(
         "display",
         help="serve a page that shows the traffic around a flying aircraft",
-        epilog="companion display; companion display --host 0.0.0.0 --token 'a long secret'",
+        epilog="companion display; companion display --host 0.0.0.0 --token-file token.txt",
     )
     if given and given[0] == "display":
         from companion.commands import display as display_command
