@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 import subprocess
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import pytest
 
 from companion.commands import cli
+from companion.config import RecordConfig, VehicleConfig
 from companion.runtime import watchdog
 from companion.runtime.status.service_manager import ping_period_s
 
@@ -41,6 +44,30 @@ def test_the_process_ends_itself_before_the_watchdog_does():
     assert limit_s - period_s > 20.0
 
 
+def test_systemd_waits_for_a_vehicle_as_long_as_the_companion_may():
+    """A companion that waits for its vehicle must not be killed and started again for ever."""
+    hint = get_type_hints(VehicleConfig, include_extras=True)["wait_s"]
+    longest_s = get_args(hint)[1].le
+    assert float(values("TimeoutStartSec")[0]) >= longest_s + 180.0
+
+
+@pytest.mark.parametrize(("status", "waits"), [("2", "8"), ("1", ""), ("0", ""), ("KILL", "")])
+def test_only_a_companion_that_could_not_begin_waits_before_the_next_start(tmp_path, status, waits):
+    """Starts cost processor time at real-time priority; one that crashed in flight starts again soon."""
+    assert float(values("RestartSec")[0]) <= 2.0
+    assert values("StartLimitIntervalSec") == ["0"]
+    (command,) = values("ExecStopPost")
+    program, option, text = shlex.split(command.removeprefix("-").replace("$$", "$"))
+    sleep = tmp_path / "sleep"
+    sleep.write_text(f'#!/bin/sh\necho "$1" >{tmp_path}/slept\n')
+    sleep.chmod(0o755)
+    environment = {"PATH": str(tmp_path), "EXIT_STATUS": status}
+    subprocess.run([program, option, text], env=environment, check=True)
+    slept = tmp_path / "slept"
+    assert (slept.read_text().strip() if slept.exists() else "") == waits
+    assert float(values("TimeoutStopSec")[0]) > float(waits or 0)
+
+
 def test_short_of_memory_the_kernel_ends_others_first():
     assert float(values("OOMScoreAdjust")[0]) < 0
     assert values("MemorySwapMax") == ["0"]
@@ -61,6 +88,15 @@ def test_where_the_service_may_write_is_what_it_writes():
     assert environment["NUMBA_CACHE_DIR"] == f"/var/cache/{values('CacheDirectory')[0]}"
     assert environment["TMPDIR"] == f"/run/{values('RuntimeDirectory')[0]}"
     assert values("WorkingDirectory") == [f"/var/lib/{values('StateDirectory')[0]}"]
+
+
+@pytest.mark.parametrize("path", ["docs/deploy.md", "deploy/debian/postinst", "deploy/container/Dockerfile"])
+def test_the_records_beside_the_configuration_are_where_the_service_may_write(path):
+    text = (ROOT / path).read_text()
+    folder = RecordConfig().folder
+    state = f"/var/lib/{values('StateDirectory')[0]}"
+    assert re.search(f"install -d -o dmuca .*{state}/{folder} ", text)
+    assert re.search(f"ln -sf?n? {state}/{folder} /etc/dmuca/{folder}$", text, re.M)
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")

@@ -7,6 +7,7 @@ Modules are imported only for the subcommand that needs them: those for flight a
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import platform
@@ -76,7 +77,7 @@ def _parser(given: Sequence[str]) -> argparse.ArgumentParser:
     display = commands.add_parser(
         "display",
         help="serve a page that shows the traffic around a flying aircraft",
-        epilog="companion display; companion display --host 0.0.0.0 --token 'a long secret'",
+        epilog="companion display; companion display --host 0.0.0.0 --token-file token.txt",
     )
     if given and given[0] == "display":
         from companion.commands import display as display_command
@@ -125,11 +126,15 @@ def _parser(given: Sequence[str]) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     from companion.runtime.flight import Flight
+    from companion.runtime.links.claims import claimed
 
     def say(line: str) -> None:
         print(line, flush=True)
 
-    Flight(configuration.load(arguments.config), say, dry_run=arguments.dry_run).run()
+    config = configuration.load(arguments.config)
+    # A dry run commands and broadcasts nothing, so it may run beside a flight.
+    with contextlib.nullcontext() if arguments.dry_run else claimed(config, say):
+        Flight(config, say, dry_run=arguments.dry_run).run()
     return 0
 
 

@@ -29,6 +29,7 @@ import msgspec
 
 from companion.commands.status import ask, find_socket
 from companion.errors import ConfigError
+from companion.runtime.signing_key import private_bytes
 
 PORT: Final = 8753
 PERIOD_S: Final = 0.5
@@ -56,9 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--port", type=int, default=PORT, help="port (default: %(default)s; 0: any)")
     parser.add_argument(
-        "--token",
-        help=f"text of {_LEAST_TOKEN} characters or more without which nothing is answered (default: none on "
-        "loopback, a new one otherwise)",
+        "--token-file",
+        type=Path,
+        help=f"file (chmod 600) with the token: text of {_LEAST_TOKEN} characters or more without which "
+        "nothing is answered (default: no token on loopback, a new one otherwise)",
     )
     parser.set_defaults(run=run)
 
@@ -70,10 +72,26 @@ def run(arguments: argparse.Namespace) -> int:
         ConfigError: no companion runs here, or an option is wrong.
     """
     path = find_socket(arguments.socket, os.environ)
-    with Display(path, arguments.host, arguments.port, arguments.token) as display:
+    token = None if arguments.token_file is None else read_token(arguments.token_file)
+    with Display(path, arguments.host, arguments.port, token) as display:
         print(f"showing {path} at {display.url} until Ctrl-C", flush=True)
         display.serve_forever()
     return 0
+
+
+def read_token(path: Path) -> str:
+    """Read the token from a file that only its owner may access. Every user sees the options of a process.
+
+    Raises:
+        ConfigError: the file cannot be read, is accessible to others, or is no text.
+    """
+    if not path.exists():
+        # The text does not repeat the path: a user may have entered the token itself.
+        raise ConfigError("--token-file: no such file; it is the path of a file with the token")
+    try:
+        return private_bytes(path, "--token-file").decode().strip()
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"--token-file: {path}: not UTF-8 text") from error
 
 
 class _Source:
@@ -115,7 +133,7 @@ class Display(ThreadingHTTPServer):
         except ValueError as error:
             raise ConfigError(f"--host: {host!r}: allowed: an IP address of this computer") from error
         if token is not None and len(token) < _LEAST_TOKEN:
-            raise ConfigError(f"--token: too short; allowed: {_LEAST_TOKEN} characters or more")
+            raise ConfigError(f"--token-file: too short; allowed: {_LEAST_TOKEN} characters or more")
         if token is None and not self._address.is_loopback:
             token = secrets.token_urlsafe(16)
         self.token = token

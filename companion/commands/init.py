@@ -6,6 +6,7 @@ The written file is loaded before it is kept, so that `companion check` accepts 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -158,7 +159,11 @@ def run(arguments: argparse.Namespace) -> int:
     asks = sys.stdin.isatty() and sys.stdout.isatty()
     text, config = written(chosen(arguments, _ask if asks else None), path)
     try:
-        path.write_text(text, encoding="utf-8")
+        # Others must not read it: it will hold the secret characters of an operator ID. The group may: so the
+        # service reads a file of root's.
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+        with open(os.open(path, flags, 0o640), "w", encoding="utf-8") as file:
+            file.write(text)
     except OSError as error:
         raise ConfigError(f"--out: {path}: cannot be written: {error.strerror}") from error
     print(f"wrote {path}; next: companion check --config {path}")
@@ -331,7 +336,7 @@ rate = 2                            # Location messages a second on each transpo
                                     # "atmc" or a file; without it they stay as configured in [remote_id]
 
 [record]
-# folder = "runs"                   # relative to the folder in which the companion is started
+# folder = "runs"                   # relative to this file
 keep_free_mb = 500.0                # with less free disk space nothing is recorded; the flight goes on
 # delete_oldest = true              # delete the oldest runs; without it a full disk ends the recording
 

@@ -13,6 +13,8 @@ from companion.radio.null.section import NullRadio
 from companion.radio.registry import RadioConfig
 from companion.remote_id.drip.trust import Trust
 
+_LONGEST_NAME = 100
+
 
 def check(config: Config, name: str) -> None:
     """Check a whole configuration for combinations and texts that are not allowed.
@@ -57,6 +59,11 @@ def check(config: Config, name: str) -> None:
         )
     if config.remote_id.component and config.vehicle.component_id == 236:
         raise ConfigError(f"{name}: vehicle.component_id: 236 is used by remote_id.component; choose another")
+    run = config.record.name
+    if not (run.isprintable() and 0 < len(run) <= _LONGEST_NAME and "/" not in run):
+        raise ConfigError(
+            f"{name}: record.name: {run!r}: allowed: 1 to {_LONGEST_NAME} printable characters without /"
+        )
     check_form(config.vehicle.link, LINK_FORMS, f"{name}: vehicle.link")
     for number, entry in enumerate(config.radio):
         entry.check(f"{name}: radio[{number}]")
@@ -101,6 +108,12 @@ def _check_limits(config: Config, name: str) -> None:
     except ConfigError as error:
         raise ConfigError(f"{name}: fence: {error}") from error
     floor, ceiling = limits.floor_height_m, limits.ceiling_height_m
+    # Without a configured floor, the default one lies below every ceiling, even below the ground.
+    if floor is None and ceiling is not None and ceiling < 5.0:
+        raise ConfigError(
+            f"{name}: limits.ceiling_height_m: {ceiling:g}: allowed: 5 to 10000; where aircraft fly below "
+            "home, set floor_height_m as well"
+        )
     if floor is not None and ceiling is not None and ceiling - floor < 5.0:
         raise ConfigError(
             f"{name}: limits.ceiling_height_m: {ceiling:g} must be 5 m or more above floor_height_m {floor:g}"

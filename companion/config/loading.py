@@ -37,6 +37,8 @@ def load(path: Path) -> Config:
         ConfigError: names the file, the key, what it holds and what is allowed.
     """
     config = decode_toml(path, Config)
+    folder = str((path.parent / config.record.folder).absolute())
+    config = msgspec.structs.replace(config, record=msgspec.structs.replace(config.record, folder=folder))
     if config.identity.id_type in _RAW_IDS:
         config = msgspec.structs.replace(config, identity=_raw_identity(config.identity, path))
     trajectory = config.flight.trajectory

@@ -94,7 +94,7 @@ class FlightConfig(_Section, frozen=True):
     companion takes the vehicle only for a conflict. fly: command the timed trajectory."""
     trajectory: str | None = None
     """Path of a trajectory file (relative to this file), or "mission" for the vehicle's own mission."""
-    mission_speed_mps: Annotated[float, Meta(gt=0, le=100)] | None = None
+    mission_speed_mps: Annotated[float, Meta(ge=0.2, le=100)] | None = None
     """Speed on the vehicle's mission; needed with trajectory = "mission"."""
     start: Literal["engage", "utc"] = "engage"
     """engage: the path's clock starts when the companion takes the vehicle. utc: it starts at start_utc_s."""
@@ -105,7 +105,7 @@ class FlightConfig(_Section, frozen=True):
     take_in_flight: bool = False
     """Whether the companion may take a vehicle that was already flying when the companion started. If not, a
     companion that restarts in flight waits for the next landing."""
-    start_within_m: Annotated[float, Meta(gt=0, le=10000)] = 100.0
+    start_within_m: Annotated[float, Meta(ge=1, le=10000)] = 100.0
     """The vehicle is taken only within this distance of the path's present point."""
     setpoint_rate_hz: Annotated[float, Meta(ge=5, le=50)] = 20.0
     yaw: Literal["face", "hold"] = "face"
@@ -115,15 +115,16 @@ class FlightConfig(_Section, frozen=True):
 class LimitsConfig(_Section, frozen=True):
     """Limits that no command ever exceeds."""
 
-    max_speed_mps: Annotated[float, Meta(gt=0, le=50)] = 5.0
+    max_speed_mps: Annotated[float, Meta(ge=0.5, le=50)] = 5.0
     """Greatest total speed."""
-    max_climb_mps: Annotated[float, Meta(gt=0, le=20)] = 2.0
-    max_descent_mps: Annotated[float, Meta(gt=0, le=20)] = 2.0
-    max_acceleration_mps2: Annotated[float, Meta(gt=0, le=20)] = 2.0
+    max_climb_mps: Annotated[float, Meta(ge=0.1, le=20)] = 2.0
+    max_descent_mps: Annotated[float, Meta(ge=0.1, le=20)] = 2.0
+    max_acceleration_mps2: Annotated[float, Meta(ge=0.2, le=20)] = 2.0
     """Greatest rate of change of the commanded velocity."""
-    floor_height_m: float | None = None
+    floor_height_m: Annotated[float, Meta(ge=-500, le=10_000)] | None = None
     """Height above home. None: the lower of 15 m and the path's lowest point."""
-    ceiling_height_m: float | None = None
+    ceiling_height_m: Annotated[float, Meta(ge=-500, le=10_000)] | None = None
+    """Height above home, at least 5 m above the floor."""
     fence: str | None = None
     """Path of a fence file (relative to this file), or "vehicle" for the vehicle's own geofence."""
 
@@ -134,20 +135,20 @@ class AvoidanceConfig(_Section, frozen=True):
 
     law: Annotated[str, Meta(min_length=1)] = "dmuca"
     """A key of `companion.laws.LAWS`, the name of a plug-in, or "module:class"."""
-    conflict_radius_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
+    conflict_radius_m: Annotated[float, Meta(ge=0.5, le=1000)] = 5.0
     """Radius of one aircraft. The separation of two aircraft must be at least twice this radius."""
-    crewed_horizontal_m: Annotated[float, Meta(gt=0, le=5000)] = 610.0
+    crewed_horizontal_m: Annotated[float, Meta(ge=10, le=5000)] = 610.0
     """Horizontal separation from crewed traffic; alternatively `crewed_vertical_m` must be kept in height.
     The defaults contain well clear of ASTM F3442: 2,000 ft and 250 ft."""
-    crewed_vertical_m: Annotated[float, Meta(gt=0, le=1000)] = 77.0
-    horizon_s: Annotated[float, Meta(gt=0, le=120)] = 20.0
+    crewed_vertical_m: Annotated[float, Meta(ge=5, le=1000)] = 77.0
+    horizon_s: Annotated[float, Meta(ge=1, le=120)] = 20.0
     period_s: Annotated[float, Meta(ge=0.02, le=1)] = 0.2
-    recovery_time_s: Annotated[float, Meta(gt=0, le=120)] = 15.0
+    recovery_time_s: Annotated[float, Meta(ge=1, le=120)] = 15.0
     """T of the paper: time in which to close the gap to the path's present point."""
     n_noncollide: Annotated[int, Meta(ge=1, le=1000)] = 15
     """Decision cycles without a conflict after which an avoidance is over; in the paper's law, recovery
     starts."""
-    regained_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
+    regained_m: Annotated[float, Meta(ge=0.5, le=1000)] = 5.0
     """Within this distance of its timed point, the aircraft counts as back on the path."""
 
 
@@ -190,11 +191,11 @@ class TrafficConfig(_Section, frozen=True):
     """Tracks of other aircraft from Remote ID."""
 
     max_tracks: Annotated[int, Meta(ge=1, le=10000)] = 200
-    expire_after_s: Annotated[float, Meta(gt=0, le=120)] = 15.0
+    expire_after_s: Annotated[float, Meta(ge=3, le=120)] = 15.0
     """Time after its last message at which a track is removed. An aircraft with long gaps between its
     messages is kept for three of its longest recent gaps, at most twice as long as this."""
     max_clock_offset_s: Annotated[float, Meta(ge=0, le=60)] = 5.0
-    max_speed_mps: Annotated[float, Meta(gt=0, le=400)] = 120.0
+    max_speed_mps: Annotated[float, Meta(ge=10, le=400)] = 120.0
     """Of a message that reports a higher speed only the position is used. It also bounds how far an aircraft
     of unknown velocity can have flown."""
     keys: dict[str, str] = {}
@@ -300,8 +301,11 @@ class RecordConfig(_Section, frozen=True):
     """Recording of flights into run folders."""
 
     folder: str = "runs"
+    """Folder of the run folders, the stored settings and the stored signing time (relative to this file;
+    absolute once loaded)."""
     name: str = "companion"
-    sync_period_s: Annotated[float, Meta(gt=0, le=60)] = 1.0
+    """End of the names of run folders: up to 100 printable characters without "/"."""
+    sync_period_s: Annotated[float, Meta(ge=0.01, le=60)] = 1.0
     keep_free_mb: Annotated[float, Meta(ge=0, le=10_000_000)] = 200.0
     """With less free space than this (10^6 bytes) nothing is recorded; the flight continues."""
     delete_oldest: bool = False

@@ -78,7 +78,7 @@ def private_bytes(path: Path, key: str) -> bytes:
             if status.st_mode & 0o077:
                 raise ConfigError(
                     f"{key}: {path}: mode {stat.S_IMODE(status.st_mode):04o} gives other users "
-                    f"access to the key; run chmod 600 {path}"
+                    f"access to it; run chmod 600 {path}"
                 )
             data = file.read(_MOST_BYTES + 1)
     except FileNotFoundError as error:

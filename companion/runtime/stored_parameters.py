@@ -38,7 +38,7 @@ def read_settings(config: Config) -> Settings:
         return Settings()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(f"{path}: damaged: {error}") from error
     try:
         return checked(stored, config)
@@ -47,8 +47,8 @@ def read_settings(config: Config) -> Settings:
 
 
 def usable_settings(config: Config, say: Callable[[str], None], unread: Callable[[str], None]) -> Settings:
-    """The stored settings; those of the configuration if the file cannot be used, but switched off if it says
-    so.
+    """The stored settings; those of the configuration if the file cannot be used, but switched off unless it
+    says that the companion is switched on.
 
     Args:
         say: receives a line for each setting that differs from the configuration.
@@ -57,10 +57,11 @@ def usable_settings(config: Config, say: Callable[[str], None], unread: Callable
     try:
         settings = read_settings(config)
     except ConfigError as error:
-        # Whoever switched the companion off did not know that another setting would not fit any more.
+        # Whoever switched the companion off did not know that another setting would not fit any more, or that
+        # the file would be damaged.
         settings = Settings(enable=_enabled(config))
-        kept = "the configuration applies" if settings.enable else f"only {ENABLE} 0 is kept of them"
-        unread(f"settings: {error}; the stored settings are not used, {kept}")
+        off = "" if settings.enable else f"; the companion is switched off until {ENABLE} is set to 1"
+        unread(f"settings: {error}; the stored settings are not used, the configuration applies{off}")
     for text in differences(config, Settings(), settings):
         say(f"settings: {text}")
     return settings
@@ -73,12 +74,14 @@ class _Switch(msgspec.Struct):
 
 
 def _enabled(config: Config) -> bool:
-    """Whether the stored settings leave the companion switched on, as far as they can be read."""
+    """Whether the stored settings leave the companion switched on; if unreadable, they may not."""
     try:
         with settings_path(config).open("rb") as file:
             return msgspec.json.decode(file.read(_MOST_BYTES), type=_Switch).enable
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+    except FileNotFoundError:
         return True
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return False
 
 
 class KeptSettings:

@@ -44,7 +44,7 @@ def write(folder: Path, text: str, name: str = "c.toml") -> Path:
         ("[foo]\na = 1\n", "foo: unknown key; allowed here: identity, vehicle, "),
         (
             IDENTITY + "[limits]\nmax_speed_mps = 500\n",
-            "limits.max_speed_mps: 500: expected a number, more than 0 and at most 50",
+            "limits.max_speed_mps: 500: expected a number, 0.5 to 50",
         ),
         (
             IDENTITY + "[limits]\nmax_sped_mps = 5\n",
@@ -56,7 +56,7 @@ def write(folder: Path, text: str, name: str = "c.toml") -> Path:
         ),
         (
             IDENTITY + '[limits]\nmax_speed_mps = "x"\n',
-            "limits.max_speed_mps: 'x': expected a number, more than 0",
+            "limits.max_speed_mps: 'x': expected a number, 0.5 to 50",
         ),
         (IDENTITY + "[limits]\nmax_speed_mps = nan\n", "limits.max_speed_mps: nan is not a finite number"),
         (IDENTITY + '[flight]\nuse = "fly"\n', "flight.trajectory: missing"),

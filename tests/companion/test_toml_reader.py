@@ -23,7 +23,10 @@ def write(folder: Path, text: str) -> Path:
     ("text", "message"),
     [
         pytest.param("x = " + "[" * 20_000, "not valid TOML: nested too deeply", id="deep list"),
-        pytest.param("a." * 2_000 + "a = 1\n", "not valid TOML: nested too deeply", id="deep key"),
+        pytest.param("a." * 20_000 + "a = 1\n", ": a key has more than 16 parts", id="deep key"),
+        pytest.param(' "\\"" . ' * 16 + "a = 1\n", ": a key has more than 16 parts", id="deep quoted key"),
+        pytest.param("[[" + "'a.b'." * 16 + "a]]\n", ": a key has more than 16 parts", id="deep table"),
+        pytest.param("x = {y = 1, " + "a." * 16 + "a = 1}\n", ": a key has more than 16 parts", id="inline"),
         pytest.param(
             IDENTITY + "[limits]\nmax_speed_mps = " + "9" * 5_000, "not valid TOML: Exceeds", id="digits"
         ),
@@ -50,6 +53,12 @@ def test_odd_toml_is_one_line_of_text_and_no_traceback(tmp_path: Path, text: str
     with pytest.raises(ConfigError, match=re.escape(message)) as caught:
         configuration.load(write(tmp_path, text))
     assert "\n" not in str(caught.value)
+
+
+def test_a_text_may_have_any_number_of_dots(tmp_path: Path) -> None:
+    folder = "a." * 20 + "a"
+    loaded = configuration.load(write(tmp_path, f'{IDENTITY}[record]\nfolder = "{folder}" # {folder}\n'))
+    assert loaded.record.folder == str(tmp_path / folder)
 
 
 def test_a_file_written_on_windows_can_be_read(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
 import signal
 import socket
@@ -21,6 +22,8 @@ from tests.integration.conftest import PATIENCE_S
 from tests.support.place import NORTHWARD
 from tests.support.waiting import until
 
+NAME = f"TEST{os.getpid()}"
+"""No aircraft of another worker of the tests: each is flown by one companion on a computer."""
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 
 
@@ -30,7 +33,7 @@ def write_config(folder: Path, link: str, **flight: str) -> Path:
     lines = "\n".join(f"{key} = {value}" for key, value in keys.items())
     path = folder / "c.toml"
     path.write_text(
-        f'[identity]\nuas_id = "TEST1"\n[vehicle]\nlink = "{link}"\nwait_s = 20.0\n[flight]\n{lines}\n'
+        f'[identity]\nuas_id = "{NAME}"\n[vehicle]\nlink = "{link}"\nwait_s = 20.0\n[flight]\n{lines}\n'
         f'[avoidance]\nlaw = "none"\n'
         f'[record]\nfolder = "{folder / "runs"}"\nname = "test"\nsync_period_s = 0.2\n'
     )
@@ -87,7 +90,7 @@ def fly(start, tmp_path, firmware):
 
 
 def the_record(tmp_path):
-    (file,) = (tmp_path / "runs").glob("*-test/TEST1.events")
+    (file,) = (tmp_path / "runs").glob(f"*-test/{NAME}.events")
     return file, list(event_record.read(io.BytesIO(file.read_bytes()), file.name))
 
 
@@ -122,7 +125,7 @@ def test_flies_and_ends_cleanly_leaving_the_vehicle_holding(start, tmp_path, fir
     summary = json.loads((file.parent / "summary.json").read_text())
     assert summary["records_dropped"] == 0
     assert summary["recorder_error"] is None
-    with (file.parent / "TEST1.tlog").open("rb") as stream:
+    with (file.parent / f"{NAME}.tlog").open("rb") as stream:
         frames = list(read_tlog(stream, "tlog"))
     systems = {(frame[5], frame[6]) for _, frame in frames}
     assert systems == {(1, 1), (1, 191)}

@@ -11,7 +11,7 @@ from pathlib import Path
 from companion import event_record
 from companion.runtime import clock
 from tests.integration.conftest import Child
-from tests.integration.test_companion_run import fly
+from tests.integration.test_companion_run import NAME, fly
 from tests.support import needs
 
 pytestmark = needs.rerun
@@ -57,8 +57,8 @@ def test_the_loop_keeps_its_time_while_the_viewer_is_watched_hangs_and_dies(star
     marks[-1] = clock.now_s()
     viewer = child_of(live.process.pid)
     files = opened_by(live.process.pid)
-    assert files[folder / "TEST1.events"] & os.O_ACCMODE == os.O_RDONLY
-    assert {path for path in files if folder in path.parents} == {folder / "TEST1.events"}
+    assert files[folder / f"{NAME}.events"] & os.O_ACCMODE == os.O_RDONLY
+    assert {path for path in files if folder in path.parents} == {folder / f"{NAME}.events"}
     part()
     os.kill(viewer, signal.SIGSTOP)
     part()
@@ -69,7 +69,7 @@ def test_the_loop_keeps_its_time_while_the_viewer_is_watched_hangs_and_dies(star
     assert companion.end() == 0
     assert "fault" not in companion.output
 
-    with (folder / "TEST1.events").open("rb") as stream:
+    with (folder / f"{NAME}.events").open("rb") as stream:
         times = [
             entry.now_s for entry in event_record.read(stream, "e") if isinstance(entry, event_record.Step)
         ]

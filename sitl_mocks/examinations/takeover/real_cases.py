@@ -52,7 +52,7 @@ waypoint = [
 ]
 """
 _CONFIG = """[identity]
-uas_id = "TAKEOVER"
+uas_id = "TAKEOVER{port}"
 [vehicle]
 link = "{link}"
 system_id = 1
@@ -152,7 +152,7 @@ class RealFlight:
         self._stack.callback(self._pilot.close)
         (folder / "path.toml").write_text(_TRAJECTORY)
         config = folder / "companion.toml"
-        config.write_text(_CONFIG.format(link=self._wire.name, folder=folder / "runs"))
+        config.write_text(_CONFIG.format(port=ports[0], link=self._wire.name, folder=folder / "runs"))
         self._companion = self._process("companion", "companion.commands.cli", "run", "--config", str(config))
         self._until_held(_READY_S)
 

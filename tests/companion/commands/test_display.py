@@ -16,7 +16,7 @@ import pytest
 
 from companion.commands import cli
 from companion.commands import display as display_module
-from companion.commands.display import MOST_AT_ONCE, Display, _Source
+from companion.commands.display import MOST_AT_ONCE, Display, _Source, read_token
 from companion.errors import ConfigError
 from companion.runtime.status.status_socket import StatusServer, TrackStatus
 from tests.browser import chromium
@@ -130,6 +130,23 @@ def test_a_token_may_be_given_on_loopback_too(flight):
         assert get(display, "/state?token=correct%20horse")[0] == 200
 
 
+def test_the_token_comes_from_a_file_because_options_are_seen_by_all_users(tmp_path, capsys):
+    path = tmp_path / "token"
+    with pytest.raises(ConfigError, match="no such file"):
+        read_token(path)
+    path.write_text("correct horse\n")
+    path.chmod(0o644)
+    with pytest.raises(ConfigError, match=r"--token-file: .*mode 0644 .*run chmod 600"):
+        read_token(path)
+    path.chmod(0o600)
+    assert read_token(path) == "correct horse"
+    path.write_bytes(b"\xff" * 20)
+    with pytest.raises(ConfigError, match="not UTF-8 text"):
+        read_token(path)
+    assert cli.main(["display", "--socket", str(path), "--token", "correct horse"]) == 2
+    assert "correct horse" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("token", ["a b&c#d%e+f=gh", "schlüssel-für-heute"])
 def test_the_printed_address_works_with_any_token(flight, token):
     with served(flight[0], token=token) as display:
@@ -140,7 +157,7 @@ def test_the_printed_address_works_with_any_token(flight, token):
     ("options", "words"),
     [
         (("example.org", 0, None), "--host: 'example.org'"),
-        (("127.0.0.1", 0, "short"), "--token: too short"),
+        (("127.0.0.1", 0, "short"), "--token-file: too short"),
         (("127.0.0.1", 99999, None), "cannot listen there"),
         (("192.0.2.1", 0, None), "cannot listen there"),
     ],

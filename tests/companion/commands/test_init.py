@@ -117,6 +117,17 @@ def test_what_cannot_be_flown_is_not_written(tmp_path, capsys, options, words):
     assert not path.exists()
 
 
+def test_others_cannot_read_what_is_written(tmp_path):
+    """The operator will write the secret characters of the operator ID into it."""
+    path = tmp_path / "c.toml"
+    before = os.umask(0o022)
+    try:
+        assert cli.main(["init", "--px4", "--out", str(path)]) == 0
+    finally:
+        os.umask(before)
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
 def test_a_file_that_exists_is_kept(tmp_path, capsys):
     path = tmp_path / "c.toml"
     path.write_text("mine")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -11,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.wire import MavlinkWriter
 from companion.commands.check import _settings
 from companion.commands.preflight import Preflight
-from companion.config import Config, IdentityConfig, LimitsConfig, RecordConfig
+from companion.config import Config, IdentityConfig, LimitsConfig, RecordConfig, load
 from companion.errors import ConfigError
 from companion.events import Settings
 from companion.runtime.flight import Flight
@@ -71,6 +72,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_says_so(config, monkeypatch)
         (b'{"type":"Settings","speed":3}', "speed"),
         (b'{"type":"Heartbeat"}', "Heartbeat"),
         (b"\xff\xfe\x00", "damaged"),
+        (b"[" * 4096, "damaged"),
         (b'{"type":"Settings","conflict_radius_m":900}', "DMUCA_RADIUS: 900: allowed: 2 to 50"),
         (b'{"type":"Settings","max_speed_mps":7}', "DMUCA_SPD_MAX: 7: allowed: 1 to 5"),
     ],
@@ -122,8 +124,11 @@ def test_a_flight_stores_what_is_set_and_the_next_one_begins_with_it(
 
     settings_path(made).write_bytes(b"{")
     damaged = Flight(made, said.append, dry_run=False)
-    assert damaged.onboard.settings == Settings()
-    until(lambda: any("damaged" in line and "the configuration applies" in line for line in said))
+    assert damaged.onboard.settings == Settings(enable=False)
+    named = f"{settings_path(made)}: damaged"
+    until(
+        lambda: any(named in line and "switched off until DMUCA_ENABLE is set to 1" in line for line in said)
+    )
     damaged._close()
     autopilot.end()
 
@@ -143,16 +148,44 @@ def test_settings_of_another_configuration_are_not_used(config):
         (msgspec.json.encode(SET), False),
         (b'{"type":"Settings","enable":false,"speed":3}', False),
         (b'{"type":"Settings","max_speed_mps":3.5}', True),
-        (b'{"type":"Settings","enable":fal', True),
+        (b'{"type":"Settings","enable":fal', False),
+        (b'{"type":"Settings","enable":false', False),
+        (b"", False),
+        (b"\0" * 60, False),
+        (b"[" * 4096, False),
     ],
 )
-def test_a_companion_that_was_switched_off_stays_so_if_another_setting_no_longer_fits(
-    config, content, enable
-):
+def test_a_companion_that_was_or_may_have_been_switched_off_stays_so(config, content, enable):
     path = settings_path(config)
     path.parent.mkdir()
     path.write_bytes(content)
     slower = msgspec.structs.replace(config, limits=LimitsConfig(max_speed_mps=3.0))
     told = []
     assert usable_settings(slower, lambda _line: None, told.append) == Settings(enable=enable)
-    assert ("the configuration applies" in told[0]) is enable
+    assert str(path) in told[0]
+    assert ("switched off until DMUCA_ENABLE is set to 1" in told[0]) is not enable
+
+
+def test_a_companion_whose_settings_cannot_be_read_is_switched_off_until_a_pilot_switches_it_on(config):
+    path = settings_path(config)
+    path.mkdir(parents=True)  # as unreadable as one on a failing disk, also for root
+    told = []
+    settings = usable_settings(config, lambda _line: None, told.append)
+    assert settings == Settings(enable=False)
+    assert f"{path}: cannot be read" in told[0]
+    path.rmdir()
+    kept = KeptSettings(config, settings)
+    kept.keep(Settings())
+    kept.close()
+    assert usable_settings(config, lambda _line: None, pytest.fail) == Settings()
+
+
+def test_what_is_stored_does_not_depend_on_the_folder_of_the_start(tmp_path, monkeypatch):
+    (tmp_path / "c.toml").write_text('[identity]\nuas_id = "A1"\n')
+    found = set()
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        found |= {settings_path(load(path)) for path in (tmp_path / "c.toml", Path("../c.toml"))}
+    assert all(path.is_absolute() for path in found)
+    assert {path.resolve() for path in found} == {tmp_path / "runs" / "settings-A1.json"}
