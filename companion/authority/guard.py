@@ -27,8 +27,7 @@ from companion.ownship import Ownship
 _AHEAD_S = 60.0
 """Length in time of a path that extends the vehicle's current velocity."""
 _BEFORE_S = 10.0
-"""How long before now a path begins, extended backwards along the vehicle's velocity. The law averages a
-path's velocity over a window (`kernels.Settings.turn_s`), and a path has no velocity before its beginning."""
+"""Least time before now at which a path begins (`_before_s`)."""
 _LEAST_SPEED_MPS = 1.0
 """Lowest speed on the way to the item's position, for a vehicle that stood or had only begun to move."""
 _REJOIN_S = 60.0
@@ -138,8 +137,9 @@ class GuardPlan:
         assert self.course.law is not None
         self._note_home(own)
         here, v = own.position_ned_m(now_s), own.velocity_ned_mps
+        before_s = _before_s(v, v, self.terms.limits)
         self.course.law.follow(
-            Trajectory([-_BEFORE_S, _AHEAD_S], [_moved(here, v, -_BEFORE_S), _moved(here, v, _AHEAD_S)])
+            Trajectory([-before_s, _AHEAD_S], [_moved(here, v, -before_s), _moved(here, v, _AHEAD_S)])
         )
         self.course.start_s = now_s
         self.course.lowest_height_m = self._height_m(own)
@@ -319,7 +319,23 @@ def _way(here: Vec3, velocity: Vec3, there: Vec3, speed_mps: float, limits: Limi
     speed = min(max(speed_mps, _LEAST_SPEED_MPS), limits.max_speed_mps)
     vertical_mps = limits.max_descent_mps if down > 0.0 else limits.max_climb_mps
     arrival_s = max(length / speed, abs(down) / vertical_mps)
-    return Trajectory([-_BEFORE_S, 0.0, arrival_s], [_moved(here, velocity, -_BEFORE_S), here, there])
+    north, east = (there[0] - here[0]) / arrival_s, (there[1] - here[1]) / arrival_s
+    before_s = _before_s(velocity, (north, east, down / arrival_s), limits)
+    return Trajectory([-before_s, 0.0, arrival_s], [_moved(here, velocity, -before_s), here, there])
+
+
+def _before_s(velocity: Vec3, then: Vec3, limits: LimitsConfig) -> float:
+    """How long before now a path begins that is extended backwards along the vehicle's velocity.
+
+    The law averages a path's velocity over a window that grows with the path's largest turn
+    (`kernels.Settings.turn_s`), and a path has no velocity before its beginning. A path that begins within
+    the window would seem slower than the vehicle flies, and its conflicts would be seen late.
+
+    Args:
+        velocity, then: velocities before and from now on (NED, m/s).
+    """
+    turn_mps = max(math.hypot(*velocity), math.dist(velocity, then), math.hypot(*then))
+    return max(_BEFORE_S, 0.5 * turn_mps / limits.max_acceleration_mps2)
 
 
 def _moved(here: Vec3, velocity: Vec3, by_s: float) -> Vec3:

@@ -294,10 +294,12 @@ class Law:
                 usable.append(n)
                 entries += n.position_ned_m
                 entries += n.velocity_ned_mps
+                # A truth value is packed more slowly than a number.
                 entries += (
-                    age_s if age_s > 0.0 else 0.0, n.sigma_m, n.sigma_mps, n.growth_mps, n.silent, n.share,
-                    n.vertical_known, n.crewed, n.growth_down_mps, n.turn_rps,
-                    n.sigma_down_m, n.yields, n.relative,
+                    age_s if age_s > 0.0 else 0.0, n.sigma_m, n.sigma_mps, n.growth_mps,
+                    1.0 if n.silent else 0.0, n.share, 1.0 if n.vertical_known else 0.0,
+                    1.0 if n.crewed else 0.0, n.growth_down_mps, n.turn_rps, n.sigma_down_m,
+                    1.0 if n.yields else 0.0, 1.0 if n.relative else 0.0,
                 )  # fmt: skip
         if len(usable) > len(self._table):
             self._room(2 * len(usable))

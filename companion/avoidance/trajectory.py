@@ -7,6 +7,7 @@ and last point. The paper calls it p_traj(t) (section II, "Decide").
 from __future__ import annotations
 
 import bisect
+import copy
 import itertools
 import math
 from collections.abc import Sequence
@@ -131,8 +132,15 @@ class Trajectory:
         return max(math.hypot(*leg) for leg in self._legs)
 
     def delayed(self, delay_s: float) -> Trajectory:
-        """A copy of the path with every waypoint `delay_s` later."""
-        return Trajectory([t + delay_s for t in self._times], self._points)
+        """A copy of the path with every waypoint `delay_s` later.
+
+        Times that differ by less than the rounding of the sum become equal. They are not checked again,
+        because this is called in flight.
+        """
+        later = copy.copy(self)
+        later._times = tuple(t + delay_s for t in self._times)
+        later._times_array = np.array(later._times)
+        return later
 
 
 def check_speeds(

@@ -54,6 +54,7 @@ MOST = 200
 EXPIRE_S = 15.0
 """Aircraft whose last report is older are removed."""
 _MAX_RANGE_M = 50_000.0
+"""Reports of places farther from us than this are ignored."""
 _STAMP_S = 0.5
 """Mean error of reported ages, which are whole seconds, rounded down."""
 _REPEATED_S = 5.0
@@ -147,7 +148,8 @@ class AdsbTraffic:
         if event.alt_geometric and alt_msl_m is not None:
             alt_msl_m = None if separation_m is None else alt_msl_m - separation_m
         position = frame.to_ned(event.lat_deg, event.lon_deg, frame.alt_m if alt_msl_m is None else alt_msl_m)
-        if math.hypot(position[0], position[1]) > _MAX_RANGE_M:
+        own = self.judgement.position
+        if math.hypot(position[0] - own[0], position[1] - own[1]) > _MAX_RANGE_M:
             return
         told = (event.lat_deg, event.lon_deg, event.alt_m, event.velocity_ned_mps)
         name = self._name(event.icao, position, told, at_s)

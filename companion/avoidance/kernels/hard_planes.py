@@ -264,7 +264,8 @@ def keep(
     level = math.sqrt(before.n * before.n + before.e * before.e)
     if after == count and _stops_inside(site, before, level, change):
         k = max(1.0 - change / max(level, EPSILON), 0.0)
-        return Vector(k * before.n, k * before.e, min(max(before.d, bounds.least_down), bounds.most_down))
+        down = min(max(before.d, bounds.least_down), bounds.most_down)
+        return _leveled(k * before.n, k * before.e, down, top)
     found, v = in_reach(scratch, count, wish, before, change, top)
     if found:
         return v

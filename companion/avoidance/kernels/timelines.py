@@ -12,8 +12,8 @@ from companion.avoidance.kernels.vectors import Triple, Vector, along, dot, minu
 HISTORY_SPACING_S = 0.04
 """Least time between two samples in the history of own velocities."""
 HISTORY_SAMPLES = 1024
-"""Size of that history. When it is full, the newer half is kept: 20 s, which exceeds the age of the oldest
-message."""
+"""Size of that history. When it is full, the newer half is kept: at least 20 s. For a message that is older
+than the history, the oldest velocity in it is used."""
 
 
 class Path(NamedTuple):

@@ -68,6 +68,16 @@ def test_delayed_moves_only_the_times() -> None:
     assert PATH.end_s == 35
 
 
+def test_a_wait_of_a_rounding_error_can_be_delayed() -> None:
+    """0.3 s and 0.1 + 0.2 s differ by less than the rounding of the delayed times."""
+    path = Trajectory([0.0, 0.3, 0.1 + 0.2, 1.0], [(0, 0, 0), (3, 0, 0), (3, 0, 0), (10, 0, 0)])
+    later = path.delayed(100.0)
+    assert later.times_s[1] == later.times_s[2]
+    assert later.position(100.3) == pytest.approx((3, 0, 0))
+    assert later.position(100.65) == pytest.approx((6.5, 0, 0))
+    assert later.nearest((6.5, 1.0, 0.0))[0] == pytest.approx(100.65)
+
+
 def test_from_rows() -> None:
     rows = np.array([[0.0, 1, 2, -3], [10.0, 4, 5, -6]])
     path = Trajectory.from_rows(rows)

@@ -63,6 +63,13 @@ class Sky:
         return neighbour
 
 
+def test_range_is_measured_from_us_and_not_from_where_the_flight_began():
+    sky = Sky()
+    sky.own_ned_m = (60_000.0, 0.0, OWN_DOWN_M)
+    sky.take(10.0, report(north_m=61_000.0), report(north_m=9_000.0, icao=0xA00001))
+    assert sky.only(10.0).position_ned_m[0] == pytest.approx(61_000.0, abs=1.0)
+
+
 # ------------------------------------------------------------ altitudes
 
 

@@ -172,3 +172,15 @@ def test_ghosts_push_nobody_further_out() -> None:
     summary = fences.summary_outside(rows)
     assert summary["median_further_m"] == 0.0
     assert summary["max_further_m"] < 10.0
+
+
+def test_a_climb_as_fast_as_the_speed_limit_leaves_a_wall_no_speed() -> None:
+    """2 m below the floor and 2.2 m from the fence: it brakes before the wall, and climbs at the limit."""
+    limits = LimitsConfig(max_speed_mps=2.0)
+    fence = polygon(k.IN_POLYGON, (-30.0, -30.0), (-30.0, 30.0), (30.0, 30.0), (30.0, -30.0))
+    law = Law(AvoidanceConfig(), limits, Trajectory([0, 100], [(-20, 0, 0), (20, 0, 0)]), fence)
+    climbs = (-0.8, 0.4524, -1.6148)
+    situation = Situation(0.0, 0.0, (0.0, 27.8464, 0.0), climbs, 0.0, (), floor_down_m=-1.9988)
+    command = law.decide(situation).chosen_ned_mps
+    assert command[2] == pytest.approx(-1.9988)
+    assert math.hypot(*command) <= limits.max_speed_mps
