@@ -350,11 +350,13 @@ class Ownship:
 
     def pressure_alt_m(self, now_s: float) -> float | None:
         """Own pressure altitude (m), as transponders send theirs; None while it is not known."""
-        if self.frame is None or self.position is None or self.pressure_above_m is None:
+        if self.position is None or self.pressure_above_m is None:
             return None
         if now_s - self._pressure_s > _PRESSURE_LOST_S:
             return None
-        return self.frame.alt_m - self.position_ned_m(now_s)[2] + self.pressure_above_m
+        # Far from its origin, the frame's tangent plane lies above the ground: 126 m at 40 km.
+        climbed_m = -(now_s - self.sample_s()) * self.velocity_ned_mps[2]
+        return self.position.alt_msl_m + climbed_m + self.pressure_above_m
 
     def gnss_now(self, now_s: float) -> GnssFix | None:
         """Last report of the GNSS receiver; None if it is too old."""

@@ -191,9 +191,10 @@ class TrafficConfig(_Section, frozen=True):
     """Tracks of other aircraft from Remote ID."""
 
     max_tracks: Annotated[int, Meta(ge=1, le=10000)] = 200
-    expire_after_s: Annotated[float, Meta(ge=3, le=120)] = 15.0
+    expire_after_s: Annotated[float, Meta(ge=3, le=15)] = 15.0
     """Time after its last message at which a track is removed. An aircraft with long gaps between its
-    messages is kept for three of its longest recent gaps, at most twice as long as this."""
+    messages is kept for three of its longest recent gaps, at most twice as long as this. The law avoids no
+    track that is older than 30 s."""
     max_clock_offset_s: Annotated[float, Meta(ge=0, le=60)] = 5.0
     max_speed_mps: Annotated[float, Meta(ge=10, le=400)] = 120.0
     """Of a message that reports a higher speed only the position is used. It also bounds how far an aircraft

@@ -340,6 +340,18 @@ def test_the_own_pressure_altitude_climbs_with_us_until_it_is_old():
     assert own.pressure_alt_m(6.1) is None
 
 
+def test_the_own_pressure_altitude_is_that_of_the_vehicle_far_from_the_frames_origin():
+    """The tangent plane of the frame is 31 m above the ground there."""
+    own = armed()
+    for second in range(19):
+        own.observe(
+            position(10.0 * second, lat_deg=47.0 + 0.01 * second, velocity=(111.0, 0.0, 0.0)), 10.0 * second
+        )
+    own.observe(AirPressure(pressure_hpa=960.0), 180.0)
+    assert own.frame.lat_deg == pytest.approx(47.0)
+    assert own.pressure_alt_m(180.0) == pytest.approx(pressure_altitude_m(960.0), abs=0.01)
+
+
 def test_a_pressure_that_no_weather_explains_is_not_believed():
     own = armed()
     own.observe(position(10.0), 1.0)

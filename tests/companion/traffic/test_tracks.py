@@ -6,6 +6,7 @@ import math
 from collections import deque
 from types import SimpleNamespace
 
+import msgspec
 import pytest
 
 from companion.avoidance import kernels
@@ -132,6 +133,8 @@ def test_an_aircraft_with_long_gaps_is_kept_for_three_of_them(gap_s, kept_s):
 
 def test_the_campaign_keeps_tracks_as_long_as_the_default_configuration():
     assert TrafficConfig().expire_after_s == kernels.KEPT_S
+    with pytest.raises(msgspec.ValidationError):  # a track that is kept longer than the law avoids it
+        msgspec.convert({"expire_after_s": OLDEST_S / kernels.KEPT_MORE + 0.1}, TrafficConfig)
 
 
 def test_a_place_beyond_all_reception_is_not_believed():
