@@ -90,8 +90,13 @@ def test_where_the_service_may_write_is_what_it_writes():
     assert values("WorkingDirectory") == [f"/var/lib/{values('StateDirectory')[0]}"]
 
 
-@pytest.mark.parametrize("path", ["docs/deploy.md", "deploy/debian/postinst", "deploy/container/Dockerfile"])
-def test_the_records_beside_the_configuration_are_where_the_service_may_write(path):
+def test_the_container_names_the_folder_of_its_records_as_systemd_does():
+    text = (ROOT / "deploy/container/Dockerfile").read_text()
+    assert f"STATE_DIRECTORY=/var/lib/{values('StateDirectory')[0]} " in text
+
+
+@pytest.mark.parametrize("path", ["docs/deploy.md", "deploy/debian/postinst"])
+def test_the_records_beside_the_configuration_are_those_of_the_service(path):
     text = (ROOT / path).read_text()
     folder = RecordConfig().folder
     state = f"/var/lib/{values('StateDirectory')[0]}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -37,7 +38,9 @@ def load(path: Path) -> Config:
         ConfigError: names the file, the key, what it holds and what is allowed.
     """
     config = decode_toml(path, Config)
-    folder = str((path.parent / config.record.folder).absolute())
+    # systemd and the container name the folder in which the service may write.
+    state = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
+    folder = str((Path(state or path.parent) / config.record.folder).absolute())
     config = msgspec.structs.replace(config, record=msgspec.structs.replace(config.record, folder=folder))
     if config.identity.id_type in _RAW_IDS:
         config = msgspec.structs.replace(config, identity=_raw_identity(config.identity, path))

@@ -302,8 +302,8 @@ class RecordConfig(_Section, frozen=True):
     """Recording of flights into run folders."""
 
     folder: str = "runs"
-    """Folder of the run folders, the stored settings and the stored signing time (relative to this file;
-    absolute once loaded)."""
+    """Folder of the run folders, the stored settings and the stored signing time, relative to
+    $STATE_DIRECTORY, which systemd sets, or else to this file; absolute once loaded."""
     name: str = "companion"
     """End of the names of run folders: up to 100 printable characters without "/"."""
     sync_period_s: Annotated[float, Meta(ge=0.01, le=60)] = 1.0

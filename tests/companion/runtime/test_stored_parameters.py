@@ -189,3 +189,9 @@ def test_what_is_stored_does_not_depend_on_the_folder_of_the_start(tmp_path, mon
         found |= {settings_path(load(path)) for path in (tmp_path / "c.toml", Path("../c.toml"))}
     assert all(path.is_absolute() for path in found)
     assert {path.resolve() for path in found} == {tmp_path / "runs" / "settings-A1.json"}
+
+
+def test_a_service_stores_where_systemd_lets_it_write(tmp_path, monkeypatch):
+    (tmp_path / "c.toml").write_text('[identity]\nuas_id = "A1"\n')
+    monkeypatch.setenv("STATE_DIRECTORY", f"{tmp_path}/state:{tmp_path}/other")
+    assert settings_path(load(tmp_path / "c.toml")) == tmp_path / "state" / "runs" / "settings-A1.json"
