@@ -60,6 +60,11 @@ _PARAMETERS_S = 8.0
 """Longest wait until the parameters that exist have arrived and the others were requested often enough."""
 _MISSION_S = 65.0
 """Longest wait for the mission: longer than a download may take."""
+_STALL_S = 0.5
+"""During a turn of a probe that takes longer, this computer stood still. The turn does not count, and reading
+goes on for at least as long, because nothing is known of the link meanwhile."""
+_MOST_STALLED_S = 60.0
+"""How much longer a probe may take for that reason."""
 _CLOCK_OFF_S = 2.0
 _TIGHT_MB = 500.0
 """Free space above record.keep_free_mb below which the disk is yellow: some hours of recording."""
@@ -249,11 +254,15 @@ class _Probe:
         self.measured_s = clock.now_s() - began_s
 
     def run(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
-        """Exchange bytes for `seconds`, or until `done` returns True."""
-        end = clock.now_s() + seconds
-        while (now := clock.now_s()) < end and not done():
-            self.now_s = now
+        """Exchange bytes for `seconds`, without stalls of this computer, or until `done` returns True."""
+        before = clock.now_s()
+        give_up = before + seconds + _MOST_STALLED_S
+        while seconds > 0.0 and before < give_up and not done():
             self.link.wait(0.05)
+            # What came meanwhile may be as new as this moment. An earlier date would make it seem old later.
+            self.now_s = now = clock.now_s()
+            took, before = now - before, now
+            seconds = max(seconds, _STALL_S) if took > _STALL_S else seconds - took
             data = self.link.receive(now).data
             for event in [*self.protocol.receive(data, now), *self.protocol.advance(now)]:
                 self.counts[type(event)] += 1

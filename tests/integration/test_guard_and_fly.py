@@ -69,7 +69,7 @@ class Station:
         items = [(16, 0.0, 0.0, 400.0)] if home_first else []
         items += [(22, *points[0])] + [(16, *point) for point in points]
         self.say(lambda e: e.mission_count_encode(system_id, 1, len(items), 0))
-        end = time.monotonic() + 20.0
+        end = time.monotonic() + 60.0
         while time.monotonic() < end:
             try:
                 messages = self.reader.feed(self.socket.recv(65536))
@@ -126,7 +126,7 @@ class Intruder(threading.Thread):
 
     def close(self):
         self.ended.set()
-        self.join(5.0)
+        self.join(60.0)
         self.radio.close()
 
 

@@ -43,7 +43,7 @@ class Served:
     def end(self) -> dict[str, object]:
         """End it as Ctrl-C does; return what it says at its end."""
         self._process.send_signal(signal.SIGINT)
-        said, _ = self._process.communicate(timeout=20)
+        said, _ = self._process.communicate(timeout=60)
         assert self._process.returncode == 0
         left: dict[str, object] = json.loads(said.splitlines()[-1])
         return left
@@ -51,7 +51,7 @@ class Served:
     def kill(self) -> None:
         """Make sure that it is gone."""
         self._process.kill()
-        self._process.wait(timeout=20)
+        self._process.wait(timeout=60)
 
 
 @pytest.fixture

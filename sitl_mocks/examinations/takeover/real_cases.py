@@ -32,8 +32,14 @@ from sitl_mocks.examinations.rule_judge import Breach, Judge
 from sitl_mocks.examinations.world import bounds_of
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode
 
-_READY_S = 60.0
+_PATIENCE_S = 180.0
+"""Longest wait for a process or its answer; generous, because machines can be slow."""
+_REFUSED_S = 1.0
+"""Longest wait for an answer that accepts a command after another one: PX4 answers twice."""
 _RETAKEN_S = 25.0
+"""Longest wait for the companion to take the vehicle before authority is given again."""
+_TRIES = 3
+"""How often a case is begun in which a stall of the machine leaves no result."""
 _DISARMED_S = 1.2
 """Longer than the time from one heartbeat to the next."""
 _HELD_S = 0.4
@@ -113,6 +119,10 @@ class NoFlightError(Exception):
     """The companion did not take the vehicle."""
 
 
+class CompanionEndedError(NoFlightError):
+    """The companion's process has ended."""
+
+
 class RealFlight:
     """One vehicle, one companion and the wire between them, for successive cases.
 
@@ -154,7 +164,7 @@ class RealFlight:
         config = folder / "companion.toml"
         config.write_text(_CONFIG.format(port=ports[0], link=self._wire.name, folder=folder / "runs"))
         self._companion = self._process("companion", "companion.commands.cli", "run", "--config", str(config))
-        self._until_held(_READY_S)
+        self._until_held()
 
     def _process(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
         log = self._stack.enter_context((self._folder / f"{name}.log").open("wb"))
@@ -169,7 +179,7 @@ class RealFlight:
         return child
 
     def _wait(self, done: Callable[[], bool], child: subprocess.Popen[bytes], words: str) -> None:
-        give_up_s = time.monotonic() + _READY_S
+        give_up_s = time.monotonic() + _PATIENCE_S
         while not done():
             if child.poll() is not None or time.monotonic() > give_up_s:
                 raise NoFlightError(words)
@@ -185,10 +195,13 @@ class RealFlight:
         """Fly one case. The companion must control the vehicle.
 
         Raises:
-            NoFlightError: the vehicle does not accept the pilot's mode.
+            NoFlightError: the companion no longer controls the vehicle when the case begins, the vehicle does
+                not accept the pilot's mode, or the companion has ended.
         """
         self._wire.traffic_hz = case.traffic_hz
         self._pump(0.2)
+        if not self._streams:
+            raise NoFlightError(f"the companion lost the vehicle before the case (mode {self._mode})")
         self.judge.breaches.clear()
         begins_s = time.monotonic()
         os.kill(self._companion.pid, signal.SIGSTOP)
@@ -205,6 +218,7 @@ class RealFlight:
         self._pump(case.watch_s)
         breaches = tuple(b._replace(at_s=round(b.at_s - begins_s, 3)) for b in self.judge.first())
         self._wire.traffic_hz = 0.0
+        self._check_companion()
         return RealVerdict(self.firmware, self.link, case, breaches)
 
     def _go_on(self) -> None:
@@ -221,9 +235,10 @@ class RealFlight:
         self.judge.accepted(time.monotonic())
 
     def _acknowledged(self, command: int) -> None:
-        give_up_s = time.monotonic() + 1.0
+        began_s = time.monotonic()
         while (command, 0) not in self._pilot.answers:
-            if time.monotonic() > give_up_s:
+            answered = any(number == command for number, _ in self._pilot.answers)
+            if time.monotonic() - began_s > (_REFUSED_S if answered else _PATIENCE_S):
                 raise NoFlightError(
                     f"the vehicle did not accept command {command}; its answers: {self._pilot.answers}"
                 )
@@ -235,27 +250,53 @@ class RealFlight:
         Raises:
             NoFlightError: the companion does not take the vehicle, or has ended.
         """
+        self._disarm_and_arm()
+        self._until_held()
+
+    def _disarm_and_arm(self) -> None:
         self._pilot.arm(armed=False)
         self._acknowledged(ARM)
         self._pilot.ask_modes(self._start_mode)
         self._pump(_DISARMED_S)
         self._pilot.arm(armed=True)
-        self._until_held(_RETAKEN_S)
+        self._acknowledged(ARM)
 
-    def _until_held(self, patience_s: float) -> None:
-        """Wait until the vehicle is in the setpoint mode and setpoints stream."""
+    @property
+    def _streams(self) -> bool:
+        """Whether the vehicle is in the setpoint mode and setpoints stream."""
         external = self._modes[VehicleMode.EXTERNAL]
+        return self._mode == external and time.monotonic() - self.judge.setpoint_s < 0.2
+
+    def _until_held(self) -> None:
+        """Wait until the companion controls the vehicle.
+
+        A stall of the machine may end its authority, because the vehicle's failsafe acts meanwhile. Authority
+        is then given again.
+        """
+        give_up_s = time.monotonic() + _PATIENCE_S
+        while not self._held_within(_RETAKEN_S):
+            if time.monotonic() > give_up_s:
+                raise NoFlightError(f"the companion did not take the vehicle {self._state()}")
+            self._disarm_and_arm()
+
+    def _held_within(self, patience_s: float) -> bool:
         give_up_s, since_s = time.monotonic() + patience_s, math.inf
         while time.monotonic() - since_s < _HELD_S:
             self._pump(0.02)
             now_s = time.monotonic()
-            streams = self._mode == external and now_s - self.judge.setpoint_s < 0.2
-            since_s = min(since_s, now_s) if streams else math.inf
-            if self._companion.poll() is not None or now_s > give_up_s:
-                words = (self._folder / "companion.log").read_text()[-600:]
-                raise NoFlightError(
-                    f"the companion did not take the vehicle (mode {self._mode}); end of its log: {words}"
-                )
+            since_s = min(since_s, now_s) if self._streams else math.inf
+            self._check_companion()
+            if now_s > give_up_s:
+                return False
+        return True
+
+    def _check_companion(self) -> None:
+        if self._companion.poll() is not None:
+            raise CompanionEndedError(f"the companion ended {self._state()}")
+
+    def _state(self) -> str:
+        words = (self._folder / "companion.log").read_text()[-600:]
+        return f"(mode {self._mode}); end of its log: {words}"
 
     # ------------------------------------------------------------ the second link
 
@@ -288,36 +329,32 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 
 
 def fly_cases(firmware: Firmware, link: Kind, cases: list[RealCase], folder: Path) -> list[RealVerdict]:
-    """Fly cases of one firmware and link. A companion that ended is started again."""
+    """Fly cases of one firmware and link. After a case without a result the processes are started again."""
     found: list[RealVerdict] = []
     flight: RealFlight | None = None
     try:
         for case in cases:
-            try:
-                flight = _ready(flight, firmware, link, folder / f"{firmware.value}-{link}-{case.number}")
-                found.append(flight.fly(case))
-            except NoFlightError as error:
-                found.append(RealVerdict(firmware, link, case, (), str(error)))
-                if flight is not None:
-                    flight.close()
-                flight = None
+            for left in reversed(range(_TRIES)):
+                where = folder / f"{firmware.value}-{link}-{case.number}-{left}"
+                try:
+                    if flight is None:
+                        where.mkdir(parents=True)
+                        flight = RealFlight(firmware, link, where)
+                    else:
+                        flight.give_back()
+                    found.append(flight.fly(case))
+                    break
+                except NoFlightError as error:
+                    if flight is not None:
+                        flight.close()
+                    flight = None
+                    if not left or isinstance(error, CompanionEndedError):
+                        found.append(RealVerdict(firmware, link, case, (), str(error)))
+                        break
     finally:
         if flight is not None:
             flight.close()
     return found
-
-
-def _ready(flight: RealFlight | None, firmware: Firmware, link: Kind, folder: Path) -> RealFlight:
-    """The same flight if its companion takes the vehicle again, else a new one."""
-    if flight is not None:
-        try:
-            flight.give_back()
-        except NoFlightError:
-            flight.close()
-        else:
-            return flight
-    folder.mkdir(parents=True)
-    return RealFlight(firmware, link, folder)
 
 
 def many_real(seed: int, cases: int, jobs: int, folder: Path) -> list[RealVerdict]:

@@ -10,20 +10,25 @@ import socket
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import pytest
 
+from companion.autopilot.link import AutopilotLink
 from companion.autopilot.wire import MavlinkWriter
 from companion.commands import check as check_module
 from companion.commands.check import check
 from companion.config import AtmcConfig, Config, IdentityConfig, RecordConfig, RemoteIdConfig, VehicleConfig
+from companion.events import GlobalPosition
 from companion.radio.ether.section import EtherRadio
 from companion.radio.null.null_radio import NullTransport
 from companion.radio.radio import Health
 from companion.runtime import radios
+from companion.runtime.links.byte_link import Received
+from companion.runtime.links.kept_link import KeptLink
 from tests.companion.commands.conftest import Vehicle
+from tests.support.place import LAT_E7, LON_E7
 
 
 @pytest.fixture
@@ -289,3 +294,39 @@ def test_a_radio_that_is_not_ok_is_red_whatever_it_says_is_missing(
     found = listed(1, radio=(EtherRadio(address="127.0.0.1:9"),))
     lights = {text: light for light, text, _ in found["radio"]}
     assert lights == {"antenna broken": "red", "broken": "yellow", "": "yellow"}
+
+
+@pytest.mark.parametrize(("stalls_s", "comes_at_once"), [(101.0, True), (101.96, False)])
+def test_a_computer_that_stood_still_is_not_told_as_an_overloaded_link(
+    monkeypatch: pytest.MonkeyPatch, stalls_s: float, comes_at_once: bool
+) -> None:
+    """It stands still for 3 s while it waits, and the simulated vehicle beside it as well."""
+    now_s = 100.0
+    writer = MavlinkWriter(1, 1)
+
+    class Link:
+        quiet = False
+
+        def wait(self, timeout_s: float) -> None:
+            nonlocal now_s
+            stalls = now_s < stalls_s <= now_s + timeout_s
+            now_s += 3.0 if stalls else timeout_s
+            self.quiet = stalls and not comes_at_once
+
+        def receive(self, _: float) -> Received:
+            encode, boot_ms = writer.encoder, round(1e3 * now_s)
+            messages = (
+                encode.heartbeat_encode(2, 3, 1, 5, 4),
+                encode.global_position_int_encode(boot_ms, LAT_E7, LON_E7, 450_000, 50_000, 0, 0, 0, 0),
+            )
+            return Received(b"" if self.quiet else b"".join(map(writer.pack, messages)))
+
+        def send(self, data: bytes) -> None:
+            """Nobody answers."""
+
+    monkeypatch.setattr("companion.runtime.clock.now_s", lambda: now_s)
+    config = VehicleConfig()
+    probe = check_module._Probe(cast("KeptLink", Link()), AutopilotLink(config))
+    probe.run(2.0)
+    assert probe.counts[GlobalPosition] > 30
+    assert probe.own.age_s(probe.now_s) < config.stale_after_s

@@ -282,7 +282,7 @@ def test_ctrl_c_leaves_what_is_complete(tmp_path):
         while process.poll() is None and (not file.exists() or file.read_text().count("\n") < 3):
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
-        told, _ = process.communicate(timeout=30)
+        told, _ = process.communicate(timeout=60)
     finally:
         process.kill()
     assert process.returncode not in (0, 2)

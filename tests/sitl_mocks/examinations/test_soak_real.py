@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import ClassVar
 
 import pytest
 
 from companion.events import Firmware
-from sitl_mocks.examinations.takeover.real_cases import RealCase, fly_cases, real_case
+from sitl_mocks.examinations.takeover import real_cases
+from sitl_mocks.examinations.takeover.real_cases import (
+    CompanionEndedError,
+    NoFlightError,
+    RealCase,
+    RealVerdict,
+    fly_cases,
+    real_case,
+)
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 
 RTL, LOITER, LAND = VehicleMode.RTL, VehicleMode.HOLD, VehicleMode.LAND
@@ -63,3 +72,51 @@ def test_what_the_pilot_selects_stays_selected(verdicts, place, number):
 def test_a_case_is_its_number():
     assert real_case(1, 14) == real_case(1, 14)
     assert len({real_case(1, number) for number in range(50)}) == 50
+
+
+class Flight:
+    """In place of `RealFlight`: what happens in each case, in turn."""
+
+    happens: ClassVar[list[Exception | None]] = []
+    begun = 0
+
+    def __init__(self, firmware, link, folder):
+        Flight.begun += 1
+        assert folder.is_dir()
+
+    def fly(self, case):
+        error = Flight.happens.pop(0)
+        if error is not None:
+            raise error
+        return RealVerdict(Firmware.PX4, "udp", case, ())
+
+    def give_back(self):
+        """Nothing was taken."""
+
+    def close(self):
+        """Nothing to end."""
+
+
+STALLED, ENDED = NoFlightError("stalled"), CompanionEndedError("ended")
+
+
+@pytest.mark.parametrize(
+    ("happens", "begun", "troubles"),
+    [
+        ([None, None], 1, [None, None]),
+        ([STALLED, STALLED, None, None], 3, [None, None]),
+        ([STALLED, STALLED, STALLED, None], 4, ["stalled", None]),
+        ([ENDED, None], 2, ["ended", None]),
+    ],
+    ids=["both fly", "begun again", "given up", "a companion that ended is told"],
+)
+def test_a_case_without_a_result_is_begun_again_unless_the_companion_ended(
+    monkeypatch, tmp_path, happens, begun, troubles
+):
+    monkeypatch.setattr(real_cases, "RealFlight", Flight)
+    monkeypatch.setattr(Flight, "happens", list(happens))
+    monkeypatch.setattr(Flight, "begun", 0)
+    verdicts = fly_cases(Firmware.PX4, "udp", [real_case(1, number) for number in range(2)], tmp_path)
+    assert [verdict.trouble for verdict in verdicts] == troubles
+    assert Flight.begun == begun
+    assert Flight.happens == []

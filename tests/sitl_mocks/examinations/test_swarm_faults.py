@@ -128,8 +128,8 @@ class Ends:
         stack.callback(self.wire.close)
         self.companion = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         self.companion.connect(("127.0.0.1", int(self.wire.name.rsplit(":", 1)[1])))
-        self.companion.settimeout(5.0)
-        self.vehicle.settimeout(5.0)
+        self.companion.settimeout(60.0)
+        self.vehicle.settimeout(60.0)
         self.clock_ms = 1000
         self.sends_setpoint()
         self.vehicle.connect(self.vehicle.recvfrom(65536)[1])

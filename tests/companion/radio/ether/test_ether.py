@@ -21,7 +21,7 @@ MESSAGES = (SelfId(description_type=0, text="survey"), Location(lat_deg=47.5, lo
 def air() -> Iterator[socket.socket]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
-        sock.settimeout(5.0)
+        sock.settimeout(60.0)
         yield sock
 
 

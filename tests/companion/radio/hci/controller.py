@@ -190,4 +190,4 @@ class TcpController:
         self._server.close()
         with contextlib.suppress(OSError, AssertionError):
             self.die()
-        self._thread.join(5.0)
+        self._thread.join(60.0)

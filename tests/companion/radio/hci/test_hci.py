@@ -399,6 +399,6 @@ def test_the_same_on_a_uart() -> None:
         assert controller.opcodes()[-1] == RESET
     finally:
         ended.set()
-        thread.join(5.0)
+        thread.join(60.0)
         os.close(slave)
         os.close(master)

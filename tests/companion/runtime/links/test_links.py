@@ -43,7 +43,7 @@ def sender(listening):
     def make():
         made.append(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         made[-1].connect(("127.0.0.1", listening.port))
-        made[-1].settimeout(30.0)
+        made[-1].settimeout(60.0)
         return made[-1]
 
     yield make

@@ -66,7 +66,7 @@ def tcp_pair(trouble, buffer):
     if sys.platform == "linux":
         # The kernel's own limit does not know the tests' clock.
         link._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 0)
-    peer.settimeout(30.0)
+    peer.settimeout(60.0)
     yield link, peer
     if link.fileno() >= 0:
         link.close()

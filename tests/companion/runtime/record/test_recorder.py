@@ -126,13 +126,13 @@ def test_close_gives_up_on_a_disk_that_hangs_with_a_full_queue(a_disk, until, st
     recorder = started(QUICK)
     a_disk.may_write.clear()
     a_disk.asked.clear()
+    before_s = clock.now_s()
     recorder.step(step(0.0))
     a_disk.asked.wait()
     for number in range(1, 50):
         recorder.step(step(float(number)))
-    now_s = clock.now_s()
-    assert recorder.slow(now_s) == "the disk was too slow: records are missing"
-    assert recorder.slow(now_s + 6.0) == "the disk has not answered for 5 s"
+    assert recorder.slow(before_s) == "the disk was too slow: records are missing"
+    assert recorder.slow(clock.now_s() + 6.0) == "the disk has not answered for 5 s"
     assert recorder.close(timeout_s=0.1) is False
     assert "accepted no data" in (recorder.error or "")
     assert recorder.dropped >= 49

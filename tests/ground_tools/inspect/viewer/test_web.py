@@ -37,7 +37,7 @@ def viewer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebViewer]:
 
 def got(viewer: WebViewer, path: str) -> tuple[Any, bytes]:
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-    with opener.open(viewer.url.partition("/?")[0] + path, timeout=20.0) as answer:
+    with opener.open(viewer.url.partition("/?")[0] + path, timeout=60.0) as answer:
         return answer.headers, answer.read()
 
 
@@ -59,7 +59,7 @@ def test_the_page_may_contact_this_machine_only(viewer: WebViewer) -> None:
 def test_requests_for_another_host_are_refused(viewer: WebViewer, host: str, path: str) -> None:
     """A page whose name points at this machine (DNS rebinding) sends its own name as Host."""
     port = urllib.parse.urlsplit(viewer.url).port
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20.0)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60.0)
     with contextlib.closing(connection):
         connection.request("GET", path, headers={"Host": host.format(port=port)})
         answer = connection.getresponse()
@@ -69,7 +69,7 @@ def test_requests_for_another_host_are_refused(viewer: WebViewer, host: str, pat
 
 def test_localhost_is_this_machine(viewer: WebViewer) -> None:
     port = urllib.parse.urlsplit(viewer.url).port
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20.0)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60.0)
     with contextlib.closing(connection):
         connection.request("GET", "/recording.rrd", headers={"Host": f"localhost:{port}"})
         assert connection.getresponse().read() == CONTENT
@@ -154,7 +154,7 @@ def test_no_viewer_process_is_left_after_any_signal(tmp_path: Path, sent: signal
         (viewer,) = children(process.pid)
         process.send_signal(sent)
         assert process.wait(60.0) == code
-    give_up_s = time.monotonic() + 30.0
+    give_up_s = time.monotonic() + 60.0
     while runs(viewer) and time.monotonic() < give_up_s:
         time.sleep(0.05)
     left = runs(viewer)
