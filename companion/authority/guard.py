@@ -139,6 +139,8 @@ class GuardPlan:
             Trajectory([-_BEFORE_S, _AHEAD_S], [_moved(here, v, -_BEFORE_S), _moved(here, v, _AHEAD_S)])
         )
         self.course.start_s = now_s
+        risen_m = self.course.follow_home(own)
+        self._leg_m = self._leg_m[0] - risen_m, self._leg_m[1] - risen_m
         self.course.lowest_height_m = self._height_m(own)
         back = own.mission_seq is not None and own.mission_seq < self._seq
         if back or (own.mission_mark != self._mark and self._mark is not None):
@@ -286,7 +288,7 @@ class GuardPlan:
         return own.frame
 
     def _height_m(self, own: Ownship) -> float:
-        return math.inf if own.position is None else own.position.height_above_home_m
+        return math.inf if own.position is None else self.course.own_height_m(own)
 
 
 def _takeoff(position: GlobalPosition) -> Vec3:
