@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Literal
 
 from companion.autopilot.dialect import in_mode
+from companion.autopilot.heard_vehicle import NewestTime
 from companion.events import (
     SIGMA_UNKNOWN_M,
     AirPressure,
@@ -88,26 +90,28 @@ class _BootClock:
 
     most_s: float | None = None
     least_s: float | None = None
-    boot_s: float = 0.0
+    newest: NewestTime = field(default_factory=NewestTime)
     at_s: float = 0.0
     offset_s: float | None = None
     """Estimated offset; None before the first time stamp."""
 
-    def add_stamp(self, time_boot_s: float, now_s: float, drift: float) -> bool:
-        """Take in one time stamp. Returns True if the autopilot's clock has restarted."""
-        began_anew = self.most_s is not None and time_boot_s < self.boot_s - _REBOOT_S
+    def add_stamp(
+        self, time_boot_s: float, now_s: float, drift: float
+    ) -> Literal["current", "overtaken", "restarted"]:
+        """Take in one time stamp. Returns what it shows (see `NewestTime.take`)."""
+        shown = self.newest.take(time_boot_s, now_s)
         most = now_s - time_boot_s
-        if self.most_s is None or began_anew:
+        if self.most_s is None or shown == "restarted":
             self.least_s = None
         else:
             # Delay only makes the offset appear too large: keep the smallest one, and allow for drift.
             most = min(most, self.most_s + drift * (now_s - self.at_s))
             if self.least_s is not None:
                 self.least_s -= _DRIFT_AHEAD * (now_s - self.at_s)
-        self.boot_s, self.at_s = time_boot_s, now_s
+        self.at_s = now_s
         self._bound(most)
         self._estimate()
-        return began_anew
+        return shown
 
     def read(self, event: ClockRead) -> None:
         """Take in one answer to TIMESYNC."""
@@ -201,7 +205,7 @@ class Ownship:
                 self._take_position(event, now_s)
             case LocalPosition():
                 # A velocity that is dated far ahead would block all later ones.
-                if event.time_boot_s <= self._clock.boot_s + _REBOOT_S:
+                if event.time_boot_s <= self._clock.newest.boot_s + _REBOOT_S:
                     self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
             case GnssFix():
                 self.gnss, self._gnss_s = event, sent_s
@@ -273,7 +277,10 @@ class Ownship:
         return all(abs(height) > _HIGH_M for height in heights)
 
     def _tick(self, time_boot_s: float, now_s: float) -> None:
-        if self._clock.add_stamp(time_boot_s, now_s, _DRIFT_ARMED if self.armed else _DRIFT_DISARMED):
+        shown = self._clock.add_stamp(time_boot_s, now_s, _DRIFT_ARMED if self.armed else _DRIFT_DISARMED)
+        if shown == "overtaken":
+            self._trouble("old messages of the autopilot arrive after newer ones", now_s)
+        elif shown == "restarted":
             # Earlier data were dated by another clock and must not count as fresh.
             self.position = None
             self._velocity_boot_s, self.boot_to_utc_s = -math.inf, None
@@ -289,6 +296,8 @@ class Ownship:
 
     def _take_position(self, event: GlobalPosition, now_s: float) -> None:
         self._tick(event.time_boot_s, now_s)
+        if self.position is not None and event.time_boot_s < self.position.time_boot_s:
+            return  # A newer position has overtaken this one.
         if self.frame is None:
             self.frame = LocalFrame(event.lat_deg, event.lon_deg, event.alt_msl_m)
         sample = self.frame.to_ned(event.lat_deg, event.lon_deg, event.alt_msl_m)

@@ -16,6 +16,8 @@ LEAST_HEIGHT_M = 15.0
 the path's lowest point."""
 LEAST_LAYER_M = 5.0
 """Least height between floor and ceiling. The check of the configuration requires the same."""
+HOME_MOVED_M = 1.0
+"""The vehicle's home has moved if its altitude differs by more than this. Less is noise."""
 LEG_S = 30.0
 """The present leg is the path from this long before the path's time to this long after it."""
 
@@ -40,7 +42,7 @@ class Course:
 
     def begin(self, law: Law, home_alt_msl_m: float, start_s: float | None) -> None:
         """Begin a flight. The home altitude stays fixed, even if the autopilot corrects it later, unless the
-        plan sets another one.
+        plan takes it over (`follow_home`).
 
         Args:
             start_s: monotonic time of the path's time 0; None to start the clock with `engage`.
@@ -69,6 +71,24 @@ class Course:
         """Start the path's clock, unless it runs already: the vehicle now flies our setpoints."""
         if self.start_s is None:
             self.start_s = now_s
+
+    def follow_home(self, own: Ownship) -> float:
+        """Take over the vehicle's home if it has moved: a pilot may set it in flight, and PX4 corrects its
+        altitude after take-off. Returns how far the flight's home has risen (m)."""
+        home = own.home_alt_msl_m
+        if home is None or abs(home - self.home_alt_msl_m) <= HOME_MOVED_M:
+            return 0.0
+        risen_m, self.home_alt_msl_m = home - self.home_alt_msl_m, home
+        return risen_m
+
+    def own_height_m(self, own: Ownship) -> float:
+        """Height of the last position above the flight's home, also if the vehicle's home has moved since.
+        Needs a position."""
+        position, home = own.position, own.home_alt_msl_m
+        assert position is not None
+        assert home is not None
+        moved = abs(home - self.home_alt_msl_m) > HOME_MOVED_M
+        return position.alt_msl_m - self.home_alt_msl_m if moved else position.height_above_home_m
 
     def path_time_s(self, now_s: float) -> float:
         """Time on the path's clock; 0 before it starts."""

@@ -33,8 +33,6 @@ _LEAST_SPEED_MPS = 1.0
 _REJOIN_S = 60.0
 """A vehicle that is taken again within this time may still be at the height to which traffic pushed it."""
 _HERE_M = 0.5
-_HOME_MOVED_M = 1.0
-"""Change of home's altitude that is no noise: somebody has set home in flight."""
 _STAY_S = 1.0
 
 
@@ -135,7 +133,7 @@ class GuardPlan:
         changed (another mission). Returns requests and messages.
         """
         assert self.course.law is not None
-        self._note_home(own)
+        self._follow_home(own)
         here, v = own.position_ned_m(now_s), own.velocity_ned_mps
         before_s = _before_s(v, v, self.terms.limits)
         self.course.law.follow(
@@ -184,20 +182,18 @@ class GuardPlan:
 
         Returns requests. Needs a law.
         """
-        moved = self._note_home(own)
+        moved = self._follow_home(own)
         if not self._stale and (moved or self._led != (self._flown, own.mission_seq)):
             self._follow(own, now_s)
         self._held_s, self._leg_m = now_s, self.course.leg_heights_m(now_s) or self._leg_m
         return self._fetch(now_s)
 
-    def _note_home(self, own: Ownship) -> bool:
-        """Take a home that was set in flight: the autopilot's mission counts heights from it. Returns whether
-        there is one."""
-        home_m = own.home_alt_msl_m
-        if home_m is None or abs(home_m - self.course.home_alt_msl_m) <= _HOME_MOVED_M:
-            return False
-        self.course.home_alt_msl_m = home_m
-        return True
+    def _follow_home(self, own: Ownship) -> bool:
+        """Take over a home that has moved: the autopilot's mission counts heights from it. Returns whether it
+        has."""
+        risen_m = self.course.follow_home(own)
+        self._leg_m = self._leg_m[0] - risen_m, self._leg_m[1] - risen_m
+        return risen_m != 0.0
 
     def _follow(self, own: Ownship, now_s: float) -> None:
         assert self.course.law is not None
@@ -299,7 +295,7 @@ class GuardPlan:
         return own.frame
 
     def _height_m(self, own: Ownship) -> float:
-        return math.inf if own.position is None else own.position.height_above_home_m
+        return math.inf if own.position is None else self.course.own_height_m(own)
 
 
 def _takeoff(position: GlobalPosition) -> Vec3:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import Literal
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -24,9 +25,11 @@ from companion.events import Firmware, Heartbeat, SecondCompanion, TwoAutopilots
 
 LOST_AFTER_S = 3.0
 """A longer gap between two heartbeats means that the link dropped or the vehicle restarted."""
-REBOOT_STEP_S = 1.0
-"""The vehicle has rebooted when its clock goes back by more than this. A smaller step means messages out of
-order."""
+REBOOT_STEP_S, _QUIET_S = 1.0, 1.0
+"""A step back of the vehicle's clock of up to `REBOOT_STEP_S` means nothing. A larger one, up to
+`_OTHER_CLOCK_S`, is a restart only if no newer time has arrived for `_QUIET_S`, because every restart takes
+longer. Otherwise it is that of an old message that newer ones have overtaken, on a link with several paths or
+queues."""
 _OTHER_CLOCK_S, _OTHER_WITHIN_S, _OTHERS = 10.0, 10.0, 3
 """A clock that goes back by more than `_OTHER_CLOCK_S` so often within `_OTHER_WITHIN_S` belongs to two
 autopilots. No vehicle restarts so often, and no link delivers messages that are so old."""
@@ -58,6 +61,27 @@ class Vehicle:
         return words if self.refusal is None else f"{words}: {self.refusal}"
 
 
+class NewestTime:
+    """The newest time since boot that a vehicle's messages have shown."""
+
+    def __init__(self) -> None:
+        self.boot_s = -math.inf
+        """That time; minus infinity before the first message."""
+        self.heard_s = -math.inf
+        """Our monotonic time at which it arrived."""
+
+    def take(self, time_boot_s: float, now_s: float) -> Literal["current", "overtaken", "restarted"]:
+        """Take a message with the vehicle's time since boot. "overtaken": the message is far older than one
+        that arrived before it. "restarted": its clock has restarted since the last newer one."""
+        back_s, quiet_s = self.boot_s - time_boot_s, now_s - self.heard_s
+        restarted = back_s > _OTHER_CLOCK_S or (back_s > REBOOT_STEP_S and quiet_s > _QUIET_S)
+        if restarted or back_s <= 0.0:
+            self.boot_s, self.heard_s = time_boot_s, now_s
+        if restarted:
+            return "restarted"
+        return "overtaken" if back_s > REBOOT_STEP_S else "current"
+
+
 class HeardVehicle:
     """The vehicle on the link. It is unknown until the first heartbeat."""
 
@@ -69,8 +93,7 @@ class HeardVehicle:
         self._counts = counts
         self._heartbeat_s = -math.inf
         self._armed = False
-        self._boot_s: float | None = None
-        self._boot_heard_s = 0.0
+        self._clock = NewestTime()
         self._back_s: deque[float] = deque(maxlen=_OTHERS)
         """When the vehicle's clock last went far back."""
         self._sent: deque[int] = deque(maxlen=_OWN_KEPT)
@@ -144,19 +167,18 @@ class HeardVehicle:
 
     def on_boot_time(self, time_boot_s: float, now_s: float) -> bool:
         """Take the vehicle's time since boot from a message. Returns whether the vehicle has rebooted."""
-        back_s = 0.0 if self._boot_s is None else self._boot_s - time_boot_s
-        rebooted = back_s > REBOOT_STEP_S
-        self._counts.reboots += rebooted
-        if back_s > _OTHER_CLOCK_S:
+        if self._clock.boot_s - time_boot_s > _OTHER_CLOCK_S:
             self._back_s.append(now_s)
-        self._boot_s, self._boot_heard_s = time_boot_s, now_s
+        rebooted = self._clock.take(time_boot_s, now_s) == "restarted"
+        self._counts.reboots += rebooted
         return rebooted
 
     def boot_ms(self, now_s: float) -> int:
         """Estimated time since the vehicle's boot, milliseconds; 0 while it is unknown."""
-        if self._boot_s is None:
+        clock = self._clock
+        if clock.boot_s == -math.inf:
             return 0
-        return round((self._boot_s + max(0.0, now_s - self._boot_heard_s)) * 1e3)
+        return round((clock.boot_s + max(0.0, now_s - clock.heard_s)) * 1e3)
 
     def second_clock(self, now_s: float) -> TwoAutopilots | None:
         """Event if two autopilots with our vehicle's system id are on the link; reported once. Both firmwares

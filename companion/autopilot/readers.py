@@ -51,8 +51,11 @@ PRESSURE_RANGE_HPA = (300.0, 1100.0)
 MAX_ICAO = 0xFF_FFFF
 """ICAO addresses have 24 bits."""
 
-_ESTIMATES: int = mavlink.ESTIMATOR_VELOCITY_HORIZ | mavlink.ESTIMATOR_POS_HORIZ_ABS
-"""EKF_STATUS_FLAGS has the same bits."""
+_ESTIMATES: int = (
+    mavlink.ESTIMATOR_VELOCITY_HORIZ | mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_POS_VERT_ABS
+)
+"""Estimates that must be good, the height included: others are avoided above and below. EKF_STATUS_FLAGS has
+the same bits."""
 _CONSTANT_POSITION: int = mavlink.ESTIMATOR_CONST_POS_MODE
 """The estimator assumes that the vehicle stands still."""
 _RC_RANGE_US = (800, 2200)
@@ -215,7 +218,7 @@ def ekf_status_report(fields: Fields) -> EstimatorState:
 def estimator_status(fields: Fields) -> EstimatorState:
     """ESTIMATOR_STATUS (PX4). It has the same flags, but PX4 also reports a constant position while the
     vehicle rests on the ground (Ekf::get_ekf_soln_status), so that flag is not used. When the position is
-    only assumed, the other two flags soon disappear."""
+    only assumed, the flags of the horizontal estimates soon disappear."""
     return EstimatorState(usable=_estimates(fields[9]))
 
 

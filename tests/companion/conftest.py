@@ -93,6 +93,8 @@ class Bench:
     utc_error_s: float = 0.0
     boot_offset_s: float = 100.0
     height_m: float = 50.0
+    """Above home. Changed without `alt_m`, it moves home."""
+    alt_m: float = ALT_MSL
     lat_deg: float = LAT
     lon_deg: float = LON
     mission: tuple[MissionItem, ...] | None = None
@@ -135,7 +137,7 @@ class Bench:
                     time_boot_s=self.now_s + self.boot_offset_s,
                     lat_deg=self.lat_deg + self.north_m / 111_194.9,
                     lon_deg=self.lon_deg + self.east_m / 75_370.0,
-                    alt_msl_m=ALT_MSL,
+                    alt_msl_m=self.alt_m,
                     height_above_home_m=self.height_m,
                     velocity_ned_mps=self.velocity_ned_mps,
                 )

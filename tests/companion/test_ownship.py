@@ -95,6 +95,37 @@ def test_a_reboot_begins_a_new_clock_and_is_not_trusted_at_once():
     assert own.utc_offset_s is None
 
 
+def test_an_old_message_after_newer_ones_is_no_restart_and_no_position_of_now():
+    own = armed()
+    own.observe(VehicleTime(time_boot_s=500.0, utc_s=1000.0), 10.0)
+    own.observe(position(501.5, lat_deg=47.0002), 11.5)
+    own.observe(position(500.1, lat_deg=47.0), 11.6)
+    assert own.sample_s() == pytest.approx(11.5)
+    assert own.position.lat_deg == 47.0002
+    assert own.utc_offset_s == pytest.approx(990.0)
+    own.observe(GnssFix(fix_type=3, lat_deg=47.0, lon_deg=8.0, alt_msl_m=400.0), 11.6)
+    own.observe(own.heartbeat, 11.6)
+    assert own.unfit(11.6, 1.0) == "old messages of the autopilot arrive after newer ones"
+
+
+def test_a_position_that_a_newer_one_has_overtaken_does_not_replace_it():
+    own = armed()
+    own.observe(position(1.0), 1.0)
+    own.observe(position(0.4, lat_deg=47.1), 1.1)
+    assert (own.position.time_boot_s, own.unfit(1.1, 1.0)) == (1.0, "no GNSS report for 3 s")
+
+
+@pytest.mark.parametrize("boot_s", [495.0, 1.0])
+def test_a_clock_that_went_back_and_shows_no_newer_time_has_restarted(boot_s):
+    """The newer time may have been wrong."""
+    own = armed()
+    own.observe(position(500.0), 10.0)
+    for k in range(12):
+        own.observe(position(boot_s + 0.1 * k), 10.1 + 0.1 * k)
+    assert own.sample_s() == pytest.approx(11.2)
+    assert own.position.time_boot_s == pytest.approx(boot_s + 1.1)
+
+
 def test_landed_is_forgotten_when_it_is_not_repeated():
     own = Ownship()
     own.observe(LandedState(landed=Landed.IN_AIR), 10.0)

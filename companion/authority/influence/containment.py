@@ -99,10 +99,9 @@ class Containment:
 
         Call this before every decision while we control the vehicle. Needs a law and an own position.
         """
-        law, position = self._course.law, self._own.position
+        law = self._course.law
         assert law is not None
-        assert position is not None
-        here, height_m = self._own.position_ned_m(now_s), position.height_above_home_m
+        here, height_m = self._own.position_ned_m(now_s), self._course.own_height_m(self._own)
         if law is not self._law:
             self._law, self._made_for = law, None
             self._extra_places.clear()

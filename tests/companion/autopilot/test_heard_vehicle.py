@@ -235,3 +235,15 @@ def test_what_is_left_of_our_own_former_process_is_no_second_companion(ardupilot
     seconds(former, 30)
     assert seconds(ardupilot, 2, former) == []
     assert seconds(ardupilot, 30) == []
+
+
+def test_late_copies_of_messages_are_no_reboots(ardupilot: Scripted) -> None:
+    """After a reboot all streams and parameters are requested again. A second path, 1.5 s slower than the
+    first, would fill the link with requests."""
+    for k in range(100):
+        ardupilot.after(0.1)
+        if k % 10 == 0:
+            ardupilot.heartbeat()
+        ardupilot.says(ardupilot.position(60_000 + 100 * k), ardupilot.position(58_500 + 100 * k))
+    assert ardupilot.link.counts.reboots == 0
+    assert ardupilot.link.counts.stream_requests < 50

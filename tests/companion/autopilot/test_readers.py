@@ -177,6 +177,7 @@ def test_mission_current() -> None:
         (0x3FF, True, False),  # the same on the ground, at rest; to ArduPilot, a place that is assumed
         (0x3BF & ~16, False, False),
         (0x33F & ~2, False, False),
+        (0x33F & ~32, False, False),  # no height
         (0, False, False),
     ],
 )

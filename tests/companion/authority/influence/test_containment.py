@@ -26,6 +26,8 @@ class Own:
 
     place: tuple[float, float] = (0.0, 0.0)
     height_m: float = 50.0
+    home_alt_msl_m: float = 0.0
+    """The vehicle's home; that of the flight is 0."""
 
     def position_ned_m(self, now_s):
         return (*self.place, -self.height_m)
@@ -33,8 +35,8 @@ class Own:
     @property
     def position(self):
         return GlobalPosition(
-            time_boot_s=0.0, lat_deg=0.0, lon_deg=0.0, alt_msl_m=0.0, height_above_home_m=self.height_m,
-            velocity_ned_mps=(0.0, 0.0, 0.0),
+            time_boot_s=0.0, lat_deg=0.0, lon_deg=0.0, alt_msl_m=self.height_m,
+            height_above_home_m=self.height_m - self.home_alt_msl_m, velocity_ned_mps=(0.0, 0.0, 0.0),
         )  # fmt: skip
 
 
@@ -142,6 +144,16 @@ def test_taken_again_where_an_earlier_push_left_it_the_volume_does_not_move():
         flight.lead((0.0, 0.0, 50.0), leg=((0.0, 78.0), (50.0, 50.0)))
         assert flight.heights(1.0 + n) == (20.0, 80.0)
         assert flight.reach(1.0, 0.0) == pytest.approx(10.0, abs=2.0)
+
+
+@pytest.mark.parametrize("home_m", [-60.0, 0.3, 60.0])
+def test_a_home_that_is_moved_in_flight_moves_no_volume(home_m):
+    flight = Flight().lead((0.0, 0.0, 50.0))
+    flight.heights()
+    flight.containment.let_go()
+    flight.own.home_alt_msl_m = home_m
+    flight.lead((0.0, 0.0, 50.0))
+    assert flight.heights(1.0) == (20.0, 80.0)
 
 
 def test_outside_of_the_mission_when_taken_the_larger_volume_or_another_one_holds():

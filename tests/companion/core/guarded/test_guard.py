@@ -79,6 +79,19 @@ def test_a_low_acceleration_limit_does_not_make_the_vehicle_seem_slower(guarded)
     assert after == pytest.approx((3.0, 0.0, 0.0), abs=0.1)
 
 
+@pytest.mark.parametrize("height_m", [0.0, 48.0, 100.0])
+def test_the_way_to_the_item_and_the_floor_are_above_the_home_of_now(guarded, height_m):
+    """A pilot may set home in flight, and PX4 corrects its altitude. The mission is flown above the new
+    one."""
+    bench = guarded()
+    bench.height_m = height_m
+    bench.step(2)
+    course, home_m = taken(bench).core.plan.course, 450.0 - height_m
+    end_down_m = course.law.trajectory.points_ned_m[-1][2]
+    assert 450.0 - end_down_m == pytest.approx(home_m + 50.0, abs=0.1)
+    assert 450.0 - course.boundary_down_m(15.0, bench.core.own, bench.now_s) == pytest.approx(home_m + 15.0)
+
+
 def taken_s(bench):
     return next(t for t, c in bench.log if getattr(c, "trigger", "") == "conflict")
 
@@ -391,6 +404,7 @@ def test_taken_again_at_the_height_to_which_traffic_pushed_it_the_leg_is_the_sam
     before = guard.course.leg_heights_m(bench.now_s)
     height_m = bench.height_m
     bench.height_m -= 25.0
+    bench.alt_m -= 25.0
     bench.step(20)
     guard.leave(own, bench.now_s)
     assert guard.course.leg_heights_m(bench.now_s) == pytest.approx(before, abs=0.5)
