@@ -114,7 +114,8 @@ class Fleet:
         Raises:
             VehicleError: A vehicle failed, or is on the ground while its mission begins in the air.
         """
-        standing = [vehicle for vehicle in self.vehicles if vehicle.on_ground]
+        # A disarmed vehicle stands on the ground, also if its land detector is not heard.
+        standing = [vehicle for vehicle in self.vehicles if vehicle.on_ground or not vehicle.armed]
         for vehicle, items in zip(self.vehicles, self._missions, strict=True):
             if vehicle in standing and not begins_with_takeoff(items):
                 raise VehicleError(

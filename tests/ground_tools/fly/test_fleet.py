@@ -159,6 +159,17 @@ def test_a_mission_that_begins_in_the_air_is_not_started_on_the_ground():
     assert vehicle.told == []
 
 
+def test_a_disarmed_vehicle_is_on_the_ground_although_its_land_detector_is_not_heard():
+    """PX4 arms at the start of a mission."""
+    vehicle = Made(PX4, "AUTO.LOITER", on_ground=False)
+    vehicle.armed = False
+    fleet = fleet_of(vehicle)
+    fleet._missions = [(WAYPOINT, RTL)]
+    with pytest.raises(VehicleError, match="does not begin with a take-off; add --takeoff"):
+        fleet.start()
+    assert vehicle.told == []
+
+
 @pytest.mark.parametrize(
     ("state", "reached", "answer"),
     [(5, None, True), (3, 4, False), (2, None, False), (0, 4, True), (0, 3, False), (0, None, False)],
