@@ -73,7 +73,17 @@ class Fleet:
         self._until(known, READY_S, "home", lambda v: "it is not known yet", quiet=True)
 
     def upload(self, missions: Sequence[tuple[MissionItem, ...]]) -> None:
-        """Upload one mission to each vehicle. Raises VehicleError."""
+        """Upload one mission to each vehicle.
+
+        Raises:
+            VehicleError: An upload failed, or a vehicle flies a mission, which the upload would replace in
+                flight.
+        """
+        for vehicle in self.vehicles:
+            if vehicle.armed and vehicle.mode == vehicle.modes.mission:
+                raise VehicleError(
+                    f"{vehicle.name}: it flies a mission in {vehicle.mode}; change its mode before the upload"
+                )
         self._missions = list(missions)
         for vehicle, items in zip(self.vehicles, missions, strict=True):
             self._check_interrupt()
@@ -199,7 +209,7 @@ class Fleet:
 
     def _leave(self, vehicle: Vehicle) -> str:
         if not vehicle.ours and not vehicle.armed_by_us:
-            return "received no command"
+            return "was not commanded to move"
         vehicle.hear_again()
         if not vehicle.armed:
             return "is disarmed"

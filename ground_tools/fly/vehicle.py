@@ -298,7 +298,7 @@ class Vehicle:
         except MissionRawError as error:
             raise VehicleError(
                 f"{self.name}: {error.origin.removesuffix('()').replace('_', ' ')}: {error.result.name}"
-                f"{_because(self._reason(sent_s))}"
+                f"{_because(self._reason(sent_s))}; the mission aboard may be incomplete"
             ) from error
         wrong = difference(items, [_cooked(item) for item in back[self.first_seq :]])
         if wrong is not None:

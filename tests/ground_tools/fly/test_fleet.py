@@ -74,7 +74,7 @@ ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4
         (ARDUPILOT, "GUIDED", {"AUTO"}, [], "flown by another operator at 20.0 m and was left in GUIDED"),
         (ARDUPILOT, "LOITER", {"AUTO"}, [], "flown by another operator at 20.0 m and was left in LOITER"),
         (ARDUPILOT, "LAND", {"LAND"}, [], "descends at 20.0 m and was left in LAND"),
-        (ARDUPILOT, "AUTO", set(), [], "received no command"),
+        (ARDUPILOT, "AUTO", set(), [], "was not commanded to move"),
         (PX4, "AUTO.MISSION", {"AUTO.MISSION"}, [FlightMode.HOLD], "holds at 20.0 m in AUTO.LOITER"),
         (PX4, "AUTO.LOITER", {"AUTO.MISSION"}, [], "holds at 20.0 m in AUTO.LOITER"),
         (
@@ -157,6 +157,17 @@ def test_a_mission_that_begins_in_the_air_is_not_started_on_the_ground():
     with pytest.raises(VehicleError, match="does not begin with a take-off; add --takeoff"):
         fleet.start()
     assert vehicle.told == []
+
+
+def test_a_mission_that_flies_is_not_replaced():
+    """Both firmwares would fly the new items at once, and a part of them if the upload fails."""
+    idle, flying = Made(PX4, "AUTO.LOITER"), Made(PX4, "AUTO.MISSION")
+    for vehicle in (idle, flying):
+        vehicle.upload = vehicle.told.append  # type: ignore[attr-defined]
+    flying.name = "vehicle 2"
+    with pytest.raises(VehicleError, match=r"vehicle 2: it flies a mission in AUTO\.MISSION"):
+        fleet_of(idle, flying).upload([(WAYPOINT,), (WAYPOINT,)])
+    assert idle.told == flying.told == []
 
 
 def test_a_disarmed_vehicle_is_on_the_ground_although_its_land_detector_is_not_heard():
