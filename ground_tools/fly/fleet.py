@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.lists.mission import NAV_LAND, NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF
 from companion.events import FlightMode, MissionItem
 from companion.geometry import LocalFrame
-from ground_tools.fly.missions import begins_with_takeoff
+from ground_tools.fly.missions import begins_with_takeoff, first_moving
 from ground_tools.fly.modes import COMING_DOWN
 from ground_tools.fly.vehicle import ARM_DISARM, SILENT_S, Vehicle, VehicleError
 
@@ -136,8 +136,10 @@ class Fleet:
             self._wait_ready()
         for vehicle in standing:
             self._arm(vehicle)
-        for vehicle in self.vehicles:
+        for vehicle, items in zip(self.vehicles, self._missions, strict=True):
             self._check_interrupt()
+            if items and vehicle.modes.resumes and vehicle not in standing:
+                self._rewind(vehicle, items)
             self._start(vehicle)
             self._say(f"{vehicle.name}: flying its mission")
 
@@ -254,6 +256,16 @@ class Fleet:
                     told = str(error)
                     self._say(f"{error}; trying again")
                 self._sleep(_AGAIN_S)
+
+    def _rewind(self, vehicle: Vehicle, items: Sequence[MissionItem]) -> None:
+        """Make item 1 of an uploaded mission the next one."""
+        first = first_moving(items)
+        for _ in range(_TRIES):
+            vehicle.go_on_with(1)
+            self._sleep(_GO_S)
+            if first is None or vehicle.item <= first.seq:
+                return
+        raise VehicleError(f"{vehicle.name}: it does not go back to item 1 of its mission")
 
     def _start(self, vehicle: Vehicle) -> None:
         """Repeat the start command until the mission flies.

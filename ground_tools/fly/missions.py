@@ -104,9 +104,15 @@ def load(path: Path) -> tuple[MissionItem, ...]:
     return items
 
 
+def first_moving(items: Sequence[MissionItem]) -> MissionItem | None:
+    """The first item that moves the vehicle."""
+    return next((item for item in items if item.command < _NAV_LAST), None)
+
+
 def begins_with_takeoff(items: Sequence[MissionItem]) -> bool:
     """Whether the first item that moves the vehicle is a NAV_TAKEOFF."""
-    return next((item.command for item in items if item.command < _NAV_LAST), None) == NAV_TAKEOFF
+    first = first_moving(items)
+    return first is not None and first.command == NAV_TAKEOFF
 
 
 def scenario_missions(scenario: Scenario, seed: int, origin: Vec3) -> list[tuple[MissionItem, ...]]:

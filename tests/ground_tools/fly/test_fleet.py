@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from companion.events import Firmware, FlightMode, MissionItem
@@ -168,6 +170,32 @@ def test_a_mission_that_flies_is_not_replaced():
     with pytest.raises(VehicleError, match=r"vehicle 2: it flies a mission in AUTO\.MISSION"):
         fleet_of(idle, flying).upload([(WAYPOINT,), (WAYPOINT,)])
     assert idle.told == flying.told == []
+
+
+@pytest.mark.usefixtures("clock")
+@pytest.mark.parametrize(("firmware", "gone_to"), [(ARDUPILOT, [1]), (PX4, [])])
+def test_a_mission_that_is_uploaded_in_flight_starts_with_its_first_item(firmware, gone_to):
+    """ArduPilot would continue with the item number at which the mission before was left."""
+    vehicle, asked = Made(firmware, "LOITER"), []
+    vehicle.item, vehicle.heard_s = 7, math.inf
+    vehicle.messages["MISSION_CURRENT"] = {"mission_state": 3}
+
+    def command(*_: object) -> None:
+        vehicle.told.append(vehicle.item)
+        vehicle.mode = vehicle.modes.mission
+
+    def go_on_with(number: int) -> None:
+        asked.append(number)
+        vehicle.item = number
+
+    vehicle.upload = lambda _: None  # type: ignore[attr-defined]
+    vehicle.go_on_with = go_on_with  # type: ignore[attr-defined]
+    vehicle.command = command  # type: ignore[method-assign]
+    fleet = fleet_of(vehicle)
+    fleet.upload([(WAYPOINT, RTL)])
+    fleet.start()
+    assert asked == gone_to
+    assert vehicle.told == [1 if gone_to else 7]
 
 
 def test_a_disarmed_vehicle_is_on_the_ground_although_its_land_detector_is_not_heard():
