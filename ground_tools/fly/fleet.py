@@ -148,7 +148,9 @@ class Fleet:
         far: dict[str, float] = {}
 
         def there(vehicle: Vehicle) -> bool:
-            self._must_fly_in(vehicle, {vehicle.modes.mission, vehicle.modes.external})
+            for one in self.vehicles:  # Also those that have arrived and wait.
+                self._must_be_heard(one)
+                self._must_fly_in(one, {one.modes.mission, one.modes.external})
             item = self._missions[self.vehicles.index(vehicle)][0]
             assert item.lat_deg is not None
             assert item.lon_deg is not None
@@ -321,6 +323,11 @@ class Fleet:
     def _progress(self, vehicle: Vehicle) -> str:
         return f"item {vehicle.item}, {vehicle.mode}"
 
+    def _must_be_heard(self, vehicle: Vehicle) -> None:
+        """Raise VehicleError if the link to a vehicle is lost."""
+        if vehicle.age_s("HEARTBEAT") > SILENT_S:
+            raise VehicleError(f"{vehicle.name}: no heartbeat for {SILENT_S:g} s")
+
     def _must_fly_in(self, vehicle: Vehicle, modes: set[str] | frozenset[str]) -> None:
         """Raise VehicleError if disarmed, or in none of these modes for longer than `_ELSEWHERE_S`."""
         now_s = time.monotonic()
@@ -357,8 +364,7 @@ class Fleet:
         while left:
             self._check_interrupt()
             for vehicle in list(left):
-                if vehicle.age_s("HEARTBEAT") > SILENT_S:
-                    raise VehicleError(f"{vehicle.name}: no heartbeat for {SILENT_S:g} s")
+                self._must_be_heard(vehicle)
                 if done(vehicle):
                     left.remove(vehicle)
                     if not quiet:

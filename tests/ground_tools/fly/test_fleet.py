@@ -320,6 +320,33 @@ def test_a_moment_in_another_mode_is_forgotten_by_the_next_step():
 
 
 @pytest.mark.usefixtures("clock")
+@pytest.mark.parametrize(
+    ("lost", "words"),
+    [({"mode": "AUTO.RTL"}, "it is in AUTO.RTL"), ({"silent": True}, "no heartbeat for 10 s")],
+)
+def test_no_vehicle_starts_if_one_that_waits_at_its_start_is_lost(lost, words, monkeypatch):
+    waits, comes = Made(PX4, "AUTO.MISSION"), Made(PX4, "AUTO.MISSION")
+    comes.name = "vehicle 2"
+    waits.place, comes.place = (47.4, 8.5, 20.0), (47.41, 8.5, 20.0)  # type: ignore[attr-defined]
+    fleet = fleet_of(waits, comes)
+    fleet._missions = [(WAYPOINT, WAYPOINT)] * 2
+    polls, sleep = [0], steps.time.sleep
+
+    def polled(seconds: float) -> None:
+        sleep(seconds)
+        polls[0] += 1
+        if polls[0] == 5:
+            for name, value in lost.items():
+                setattr(waits, name, value)
+        if polls[0] == 200:
+            comes.place = waits.place  # type: ignore[attr-defined]
+
+    monkeypatch.setattr(steps.time, "sleep", polled)
+    with pytest.raises(VehicleError, match=f"vehicle 1: {words}"):
+        fleet.gather()
+
+
+@pytest.mark.usefixtures("clock")
 def test_a_vehicle_that_falls_silent_ends_the_wait():
     vehicle = Made(ARDUPILOT, "AUTO")
     vehicle.silent = True
