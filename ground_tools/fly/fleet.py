@@ -100,6 +100,7 @@ class Fleet:
                     f"{vehicle.name}: cannot take off: it is already in the air, at {vehicle.height_m:.1f} m"
                 )
         self._wait_ready()
+        self.wait_for_home()  # The readiness of an armed vehicle does not tell its home.
         for vehicle in self.vehicles:
             self._arm(vehicle)
             self._check_interrupt()

@@ -198,6 +198,15 @@ def test_a_mission_that_is_uploaded_in_flight_starts_with_its_first_item(firmwar
     assert vehicle.told == [1 if gone_to else 7]
 
 
+@pytest.mark.usefixtures("clock")
+def test_an_armed_vehicle_does_not_take_off_before_its_home_is_known():
+    """The height of a take-off on PX4 is above mean sea level and follows from home."""
+    vehicle = Made(PX4, "AUTO.LOITER", on_ground=True)
+    with pytest.raises(VehicleError, match="vehicle 1: home did not finish within 90 s"):
+        fleet_of(vehicle).take_off(10.0)
+    assert vehicle.told == []
+
+
 def test_a_disarmed_vehicle_is_on_the_ground_although_its_land_detector_is_not_heard():
     """PX4 arms at the start of a mission."""
     vehicle = Made(PX4, "AUTO.LOITER", on_ground=False)
