@@ -44,6 +44,7 @@ _SAME_FRAME = {
     mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT: mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT,
 }
 """Maps a MAV_FRAME with integer coordinates to the same frame with float coordinates."""
+_STOPS = "a mission that stops after an item is not supported; allowed: one that continues by itself"
 _ACCEPTANCE_M = 1.0
 _SAME_PLACE_M = 0.01
 _WPL = "QGC WPL 110"
@@ -58,6 +59,7 @@ class _Simple(msgspec.Struct, frozen=True):
     params: tuple[
         float | None, float | None, float | None, float | None, float | None, float | None, float | None
     ]
+    auto_continue: bool = msgspec.field(default=True, name="autoContinue")
 
 
 class _MissionPart(msgspec.Struct, frozen=True):
@@ -174,6 +176,8 @@ def _read_plan(text: str, path: Path) -> tuple[MissionItem, ...]:
             simple = msgspec.convert(raw, _Simple)
         except msgspec.ValidationError as error:
             raise ConfigError(f"{path}: item {number}: {error}") from error
+        if not simple.auto_continue:
+            raise ConfigError(f"{path}: item {number}: autoContinue: {_STOPS}")
         items.append(_item(number, simple.frame, simple.command, simple.params))
     return tuple(items)
 
@@ -193,10 +197,18 @@ def _read_wpl(text: str, path: Path) -> tuple[MissionItem, ...]:
         try:
             index, _, frame, command = map(int, fields[:4])
             numbers = [float(field) for field in fields[4:11]]
+            continues = float(fields[11]) != 0.0
         except ValueError as error:
             raise ConfigError(f"{path}: line {line}: a field is not a number: {error}") from error
         if index != len(items):
             raise ConfigError(f"{path}: line {line}: index {index} is not allowed; allowed: {len(items)}")
+        if not items and (frame, command) != (_GLOBAL, NAV_WAYPOINT):
+            raise ConfigError(
+                f"{path}: line {line}: command {command} in MAV_FRAME {frame} is not home; allowed in row 0: "
+                f"home (command {NAV_WAYPOINT} in MAV_FRAME {_GLOBAL}), which is not uploaded"
+            )
+        if items and not continues:
+            raise ConfigError(f"{path}: line {line}: AUTOCONTINUE: {_STOPS}")
         params = [None if math.isnan(number) else number for number in numbers]
         items.append(_item(index, frame, command, params))
     return tuple(items[1:])
