@@ -120,8 +120,8 @@ def begins_with_takeoff(items: Sequence[MissionItem]) -> bool:
 def scenario_missions(scenario: Scenario, seed: int, origin: Vec3) -> list[tuple[MissionItem, ...]]:
     """Make one mission for each aircraft of a scenario.
 
-    Item 1 is the beginning of the path, where the vehicle waits for the others. Each leg follows at the speed
-    that the times of the path require.
+    Item 1 is the beginning of the path, where the vehicle waits for the others. A path that begins later than
+    others is held there for that time. Each leg follows at the speed that the times of the path require.
 
     Args:
         scenario: The scenario.
@@ -132,10 +132,9 @@ def scenario_missions(scenario: Scenario, seed: int, origin: Vec3) -> list[tuple
         ConfigError: A path is not above the ground.
     """
     frame = LocalFrame(*origin)
-    return [
-        _path_mission(number, [tuple(map(float, row)) for row in path], frame)
-        for number, path in enumerate(paths_of(scenario, seed))
-    ]
+    paths = [[tuple(map(float, row)) for row in path] for path in paths_of(scenario, seed)]
+    begins_s = min(rows[0][0] for rows in paths)
+    return [_path_mission(number, rows, frame, begins_s) for number, rows in enumerate(paths)]
 
 
 def difference(sent: Sequence[MissionItem], back: Sequence[MissionItem]) -> str | None:
@@ -248,7 +247,7 @@ def _fault(item: MissionItem) -> str | None:
 
 
 def _path_mission(
-    number: int, rows: Sequence[tuple[float, ...]], frame: LocalFrame
+    number: int, rows: Sequence[tuple[float, ...]], frame: LocalFrame, begins_s: float
 ) -> tuple[MissionItem, ...]:
     items: list[MissionItem] = []
 
@@ -263,6 +262,8 @@ def _path_mission(
                            (hold_s, _ACCEPTANCE_M, 0.0, None, lat, lon, alt)))  # fmt: skip
 
     add(rows[0], GATE_S)
+    if rows[0][0] > begins_s:
+        add(rows[0], rows[0][0] - begins_s)
     speed_mps = 0.0
     for a, b in itertools.pairwise(rows):
         length_m, lasts_s = math.dist(a[1:], b[1:]), b[0] - a[0]

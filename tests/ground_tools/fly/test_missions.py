@@ -147,6 +147,16 @@ def test_a_scenario_becomes_one_mission_an_aircraft_at_its_speeds():
         assert row == pytest.approx(wanted, abs=0.02)
 
 
+def test_a_path_that_begins_later_is_held_at_its_beginning():
+    paths = tuple(
+        PathSettings(points=((t, n, 0.0, -5.0), (t + 9.0, n, 9.0, -5.0))) for t, n in ((2.0, 0.0), (12.0, 50.0))
+    )
+    first, later = missions.scenario_missions(Scenario(path=paths), 1, ORIGIN)
+    assert [item.command for item in first] == [16, 178, 16]
+    assert [item.command for item in later] == [16, 16, 178, 16]
+    assert later[1] == msgspec.structs.replace(later[0], seq=2, params=(10.0, *later[0].params[1:]))
+
+
 def test_a_path_under_the_ground_is_refused():
     paths = tuple(
         PathSettings(points=((0.0, n, 0.0, -5.0), (9.0, n, 9.0, d))) for n, d in ((0.0, -5.0), (9.0, 1.0))
