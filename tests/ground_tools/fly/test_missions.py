@@ -149,7 +149,8 @@ def test_a_scenario_becomes_one_mission_an_aircraft_at_its_speeds():
 
 def test_a_path_that_begins_later_is_held_at_its_beginning():
     paths = tuple(
-        PathSettings(points=((t, n, 0.0, -5.0), (t + 9.0, n, 9.0, -5.0))) for t, n in ((2.0, 0.0), (12.0, 50.0))
+        PathSettings(points=((begin_s, n, 0.0, -5.0), (begin_s + 9.0, n, 9.0, -5.0)))
+        for begin_s, n in ((2.0, 0.0), (12.0, 50.0))
     )
     first, later = missions.scenario_missions(Scenario(path=paths), 1, ORIGIN)
     assert [item.command for item in first] == [16, 178, 16]
