@@ -41,7 +41,7 @@ SILENT_S = 10.0
 """Age of the last heartbeat beyond which a vehicle counts as lost."""
 _AUTOPILOT = int(mavlink.MAV_COMP_ID_AUTOPILOT1)
 _ALONE_S = 2.5
-"""Time within which every vehicle on a link is heard. A heartbeat comes once a second, and one may be lost."""
+"""Time within which all vehicles on a link are heard. A heartbeat comes once a second, one may be lost."""
 _CONFIRM_S = 5.0
 """Time for a new mode to appear in the heartbeat, which may be sent only once a second."""
 _NOT_OPENED = {
