@@ -226,6 +226,7 @@ def run_table(args: argparse.Namespace) -> int:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
     seeds, wanted = seeds_of(args.seeds), tables.TABLES[args.table]()
+    tables.check_writable(args.file)
     with_unavoided = dict.fromkeys(c for cell in wanted for c in (cell, campaign.baseline(cell)))
     found, _ = fly_missing(list(with_unavoided), seeds, args.out, work_of(args, Console(stderr=True)))
     lines = [

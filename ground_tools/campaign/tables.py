@@ -126,6 +126,23 @@ class Kept(msgspec.Struct, frozen=True, kw_only=True):
     lines: tuple[Line, ...]
 
 
+def check_writable(path: Path | None) -> None:
+    """Refuse the file of `--file` before hours of flights if it cannot be written. It is left as it is.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
+    if path is None:
+        return
+    new = not path.exists()
+    try:
+        path.open("ab").close()
+        if new:
+            path.unlink()
+    except OSError as error:
+        raise ConfigError(f"--file: {path}: cannot be written: {error.strerror}") from error
+
+
 def write(path: Path, table: Kept) -> None:
     """Write a table to a file.
 

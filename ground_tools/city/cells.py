@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -32,8 +31,6 @@ from ground_tools.city.radio.reception import AnalyticRadio
 from ground_tools.city.simulation import PART_S, Result, Simulation
 from ground_tools.city.traffic import demand, intentions
 from ground_tools.city.traffic.demand import Demand
-from ground_tools.common import sources
-from ground_tools.common.kept_lines import Kept
 from sitl_mocks.channel.link_budget import ranges_m
 from sitl_mocks.channel.parameters import BackgroundLoad, ChannelParameters
 from sitl_mocks.channel.parameters import load as load_parameters
@@ -334,14 +331,3 @@ def _mean(values: Floats) -> float:
 
 ROOTS: Final = ("ground_tools.city.cells",)
 """Modules on which the results depend."""
-
-
-def kept(folder: Path, city: City) -> Kept[Row]:
-    """The stored results of a cell, its rows by seed.
-
-    Raises:
-        ConfigError: the results come from another state of the software, or cannot be read.
-    """
-    header = {**msgspec.to_builtins(city), "software": sources.digest(ROOTS)}
-    header = msgspec.json.decode(msgspec.json.encode(header))
-    return Kept(folder / f"{city.name}.jsonl", header, Row, attrgetter("seed"))

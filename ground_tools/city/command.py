@@ -8,6 +8,7 @@ import json
 import math
 import time
 from collections.abc import Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from ground_tools.channel import options
 from ground_tools.city import cells, parquet, spread
 from ground_tools.city.cells import TRANSPORTS, City, Row
 from ground_tools.city.traffic.demand import PATTERNS, Demand
+from ground_tools.common import provenance, sources
+from ground_tools.common.kept_lines import Kept
 from ground_tools.common.progress import progress
 from ground_tools.common.run_options import seeds_of
 
@@ -186,7 +189,7 @@ def fly_missing(
     if folder is not None:
         options.make_folder(folder)
         parquet.check()
-        file = cells.kept(folder, city)
+        file = kept(folder, city)
         rows = dict(file.rows)
     missing = [seed for seed in seeds if seed not in rows]
     works = [(city, seed) for seed in missing]
@@ -202,6 +205,21 @@ def fly_missing(
     if folder is not None:
         parquet.write_runs(folder / f"{city.name}.parquet", city, list(rows.values()), EXAMPLE)
     return found, len(missing)
+
+
+def kept(folder: Path, city: City) -> Kept[Row]:
+    """The stored results of a cell, its rows by seed.
+
+    Raises:
+        ConfigError: the results come from another state of the software or its data, or from a file of
+            flights with another content, or cannot be read.
+    """
+    data = provenance.now("", (), spread.DATA, ()).data
+    if city.flights is not None:
+        data[city.flights] = provenance.content_of(Path(city.flights))
+    header = {**msgspec.to_builtins(city), "data": data, "software": sources.digest(cells.ROOTS)}
+    header = msgspec.json.decode(msgspec.json.encode(header))
+    return Kept(folder / f"{city.name}.jsonl", header, Row, attrgetter("seed"))
 
 
 def _fly(work: tuple[City, int]) -> tuple[Row, parquet.Columns, parquet.Columns]:

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.lists.mission import NAV_LAND, NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF
 from companion.events import FlightMode, MissionItem
 from companion.geometry import LocalFrame
-from ground_tools.fly.missions import begins_with_takeoff
+from ground_tools.fly.missions import begins_with_takeoff, first_moving
 from ground_tools.fly.modes import COMING_DOWN
 from ground_tools.fly.vehicle import ARM_DISARM, SILENT_S, Vehicle, VehicleError
 
@@ -73,7 +73,17 @@ class Fleet:
         self._until(known, READY_S, "home", lambda v: "it is not known yet", quiet=True)
 
     def upload(self, missions: Sequence[tuple[MissionItem, ...]]) -> None:
-        """Upload one mission to each vehicle. Raises VehicleError."""
+        """Upload one mission to each vehicle.
+
+        Raises:
+            VehicleError: An upload failed, or a vehicle flies a mission, which the upload would replace in
+                flight.
+        """
+        for vehicle in self.vehicles:
+            if vehicle.armed and vehicle.mode == vehicle.modes.mission:
+                raise VehicleError(
+                    f"{vehicle.name}: it flies a mission in {vehicle.mode}; change its mode before the upload"
+                )
         self._missions = list(missions)
         for vehicle, items in zip(self.vehicles, missions, strict=True):
             self._check_interrupt()
@@ -90,6 +100,7 @@ class Fleet:
                     f"{vehicle.name}: cannot take off: it is already in the air, at {vehicle.height_m:.1f} m"
                 )
         self._wait_ready()
+        self.wait_for_home()  # The readiness of an armed vehicle does not tell its home.
         for vehicle in self.vehicles:
             self._arm(vehicle)
             self._check_interrupt()
@@ -114,7 +125,8 @@ class Fleet:
         Raises:
             VehicleError: A vehicle failed, or is on the ground while its mission begins in the air.
         """
-        standing = [vehicle for vehicle in self.vehicles if vehicle.on_ground]
+        # A disarmed vehicle stands on the ground, also if its land detector is not heard.
+        standing = [vehicle for vehicle in self.vehicles if vehicle.on_ground or not vehicle.armed]
         for vehicle, items in zip(self.vehicles, self._missions, strict=True):
             if vehicle in standing and not begins_with_takeoff(items):
                 raise VehicleError(
@@ -125,8 +137,10 @@ class Fleet:
             self._wait_ready()
         for vehicle in standing:
             self._arm(vehicle)
-        for vehicle in self.vehicles:
+        for vehicle, items in zip(self.vehicles, self._missions, strict=True):
             self._check_interrupt()
+            if items and vehicle.modes.resumes and vehicle not in standing:
+                self._rewind(vehicle, items)
             self._start(vehicle)
             self._say(f"{vehicle.name}: flying its mission")
 
@@ -135,7 +149,9 @@ class Fleet:
         far: dict[str, float] = {}
 
         def there(vehicle: Vehicle) -> bool:
-            self._must_fly_in(vehicle, {vehicle.modes.mission, vehicle.modes.external})
+            for one in self.vehicles:  # Also those that have arrived and wait.
+                self._must_be_heard(one)
+                self._must_fly_in(one, {one.modes.mission, one.modes.external})
             item = self._missions[self.vehicles.index(vehicle)][0]
             assert item.lat_deg is not None
             assert item.lon_deg is not None
@@ -198,7 +214,7 @@ class Fleet:
 
     def _leave(self, vehicle: Vehicle) -> str:
         if not vehicle.ours and not vehicle.armed_by_us:
-            return "received no command"
+            return "was not commanded to move"
         vehicle.hear_again()
         if not vehicle.armed:
             return "is disarmed"
@@ -243,6 +259,16 @@ class Fleet:
                     told = str(error)
                     self._say(f"{error}; trying again")
                 self._sleep(_AGAIN_S)
+
+    def _rewind(self, vehicle: Vehicle, items: Sequence[MissionItem]) -> None:
+        """Make item 1 of an uploaded mission the next one."""
+        first = first_moving(items)
+        for _ in range(_TRIES):
+            vehicle.go_on_with(1)
+            self._sleep(_GO_S)
+            if first is None or vehicle.item <= first.seq:
+                return
+        raise VehicleError(f"{vehicle.name}: it does not go back to item 1 of its mission")
 
     def _start(self, vehicle: Vehicle) -> None:
         """Repeat the start command until the mission flies.
@@ -298,6 +324,11 @@ class Fleet:
     def _progress(self, vehicle: Vehicle) -> str:
         return f"item {vehicle.item}, {vehicle.mode}"
 
+    def _must_be_heard(self, vehicle: Vehicle) -> None:
+        """Raise VehicleError if the link to a vehicle is lost."""
+        if vehicle.age_s("HEARTBEAT") > SILENT_S:
+            raise VehicleError(f"{vehicle.name}: no heartbeat for {SILENT_S:g} s")
+
     def _must_fly_in(self, vehicle: Vehicle, modes: set[str] | frozenset[str]) -> None:
         """Raise VehicleError if disarmed, or in none of these modes for longer than `_ELSEWHERE_S`."""
         now_s = time.monotonic()
@@ -334,8 +365,7 @@ class Fleet:
         while left:
             self._check_interrupt()
             for vehicle in list(left):
-                if vehicle.age_s("HEARTBEAT") > SILENT_S:
-                    raise VehicleError(f"{vehicle.name}: no heartbeat for {SILENT_S:g} s")
+                self._must_be_heard(vehicle)
                 if done(vehicle):
                     left.remove(vehicle)
                     if not quiet:

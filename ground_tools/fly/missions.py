@@ -44,6 +44,7 @@ _SAME_FRAME = {
     mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT: mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT,
 }
 """Maps a MAV_FRAME with integer coordinates to the same frame with float coordinates."""
+_STOPS = "a mission that stops after an item is not supported; allowed: one that continues by itself"
 _ACCEPTANCE_M = 1.0
 _SAME_PLACE_M = 0.01
 _WPL = "QGC WPL 110"
@@ -58,6 +59,7 @@ class _Simple(msgspec.Struct, frozen=True):
     params: tuple[
         float | None, float | None, float | None, float | None, float | None, float | None, float | None
     ]
+    auto_continue: bool = msgspec.field(default=True, name="autoContinue")
 
 
 class _MissionPart(msgspec.Struct, frozen=True):
@@ -104,16 +106,22 @@ def load(path: Path) -> tuple[MissionItem, ...]:
     return items
 
 
+def first_moving(items: Sequence[MissionItem]) -> MissionItem | None:
+    """The first item that moves the vehicle."""
+    return next((item for item in items if item.command < _NAV_LAST), None)
+
+
 def begins_with_takeoff(items: Sequence[MissionItem]) -> bool:
     """Whether the first item that moves the vehicle is a NAV_TAKEOFF."""
-    return next((item.command for item in items if item.command < _NAV_LAST), None) == NAV_TAKEOFF
+    first = first_moving(items)
+    return first is not None and first.command == NAV_TAKEOFF
 
 
 def scenario_missions(scenario: Scenario, seed: int, origin: Vec3) -> list[tuple[MissionItem, ...]]:
     """Make one mission for each aircraft of a scenario.
 
-    Item 1 is the beginning of the path, where the vehicle waits for the others. Each leg follows at the speed
-    that the times of the path require.
+    Item 1 is the beginning of the path, where the vehicle waits for the others. A path that begins later than
+    others is held there for that time. Each leg follows at the speed that the times of the path require.
 
     Args:
         scenario: The scenario.
@@ -124,10 +132,9 @@ def scenario_missions(scenario: Scenario, seed: int, origin: Vec3) -> list[tuple
         ConfigError: A path is not above the ground.
     """
     frame = LocalFrame(*origin)
-    return [
-        _path_mission(number, [tuple(map(float, row)) for row in path], frame)
-        for number, path in enumerate(paths_of(scenario, seed))
-    ]
+    paths = [[tuple(map(float, row)) for row in path] for path in paths_of(scenario, seed)]
+    begins_s = min(rows[0][0] for rows in paths)
+    return [_path_mission(number, rows, frame, begins_s) for number, rows in enumerate(paths)]
 
 
 def difference(sent: Sequence[MissionItem], back: Sequence[MissionItem]) -> str | None:
@@ -168,6 +175,8 @@ def _read_plan(text: str, path: Path) -> tuple[MissionItem, ...]:
             simple = msgspec.convert(raw, _Simple)
         except msgspec.ValidationError as error:
             raise ConfigError(f"{path}: item {number}: {error}") from error
+        if not simple.auto_continue:
+            raise ConfigError(f"{path}: item {number}: autoContinue: {_STOPS}")
         items.append(_item(number, simple.frame, simple.command, simple.params))
     return tuple(items)
 
@@ -187,10 +196,18 @@ def _read_wpl(text: str, path: Path) -> tuple[MissionItem, ...]:
         try:
             index, _, frame, command = map(int, fields[:4])
             numbers = [float(field) for field in fields[4:11]]
+            continues = float(fields[11]) != 0.0
         except ValueError as error:
             raise ConfigError(f"{path}: line {line}: a field is not a number: {error}") from error
         if index != len(items):
             raise ConfigError(f"{path}: line {line}: index {index} is not allowed; allowed: {len(items)}")
+        if not items and (frame, command) != (_GLOBAL, NAV_WAYPOINT):
+            raise ConfigError(
+                f"{path}: line {line}: command {command} in MAV_FRAME {frame} is not home; allowed in row 0: "
+                f"home (command {NAV_WAYPOINT} in MAV_FRAME {_GLOBAL}), which is not uploaded"
+            )
+        if items and not continues:
+            raise ConfigError(f"{path}: line {line}: AUTOCONTINUE: {_STOPS}")
         params = [None if math.isnan(number) else number for number in numbers]
         items.append(_item(index, frame, command, params))
     return tuple(items[1:])
@@ -230,7 +247,7 @@ def _fault(item: MissionItem) -> str | None:
 
 
 def _path_mission(
-    number: int, rows: Sequence[tuple[float, ...]], frame: LocalFrame
+    number: int, rows: Sequence[tuple[float, ...]], frame: LocalFrame, begins_s: float
 ) -> tuple[MissionItem, ...]:
     items: list[MissionItem] = []
 
@@ -245,6 +262,8 @@ def _path_mission(
                            (hold_s, _ACCEPTANCE_M, 0.0, None, lat, lon, alt)))  # fmt: skip
 
     add(rows[0], GATE_S)
+    if rows[0][0] > begins_s:
+        add(rows[0], rows[0][0] - begins_s)
     speed_mps = 0.0
     for a, b in itertools.pairwise(rows):
         length_m, lasts_s = math.dist(a[1:], b[1:]), b[0] - a[0]

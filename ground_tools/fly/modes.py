@@ -22,6 +22,9 @@ class Modes:
     """Mode to enter before arming for a take-off."""
     takes_off_above_msl: bool
     """True: the altitude of a take-off command is above mean sea level. False: it is above home."""
+    resumes: bool
+    """Whether a mission that is started in flight begins with the item number at which the mission before was
+    left, also if that was another mission (AP_Mission::resume)."""
 
 
 MODES = {
@@ -32,6 +35,7 @@ MODES = {
         holding="BRAKE",
         armed_in=FlightMode.EXTERNAL,
         takes_off_above_msl=False,
+        resumes=True,
     ),
     Firmware.PX4: Modes(
         climbing=frozenset({"AUTO.TAKEOFF", "AUTO.LOITER"}),
@@ -40,6 +44,7 @@ MODES = {
         holding="AUTO.LOITER",
         armed_in=FlightMode.HOLD,
         takes_off_above_msl=True,
+        resumes=False,
     ),
 }
 COMING_DOWN = frozenset({"LAND", "RTL", "SMART_RTL", "AUTO_RTL", "AUTO.LAND", "AUTO.RTL", "AUTO.PRECLAND"})

@@ -40,6 +40,8 @@ LANDED_ON_GROUND = int(mavlink.MAV_LANDED_STATE_ON_GROUND)
 SILENT_S = 10.0
 """Age of the last heartbeat beyond which a vehicle counts as lost."""
 _AUTOPILOT = int(mavlink.MAV_COMP_ID_AUTOPILOT1)
+_ALONE_S = 2.5
+"""Time within which all vehicles on a link are heard. A heartbeat comes once a second, one may be lost."""
 _CONFIRM_S = 5.0
 """Time for a new mode to appear in the heartbeat, which may be sent only once a second."""
 _NOT_OPENED = {
@@ -117,10 +119,12 @@ class Vehicle:
         self._telemetry.subscribe_status_text(
             lambda said, _: self._texts.append((time.monotonic(), said.text))
         )
+        began_s = time.monotonic()
         self.firmware = self._recognise(patience_s)
         self.modes = MODES[self.firmware]
         self._dialect = DIALECTS[self.firmware]
         self._ask_rates(patience_s)
+        self._check_alone(began_s)
 
     @classmethod
     def connect(cls, name: str, address: str, patience_s: float) -> Vehicle:
@@ -298,7 +302,7 @@ class Vehicle:
         except MissionRawError as error:
             raise VehicleError(
                 f"{self.name}: {error.origin.removesuffix('()').replace('_', ' ')}: {error.result.name}"
-                f"{_because(self._reason(sent_s))}"
+                f"{_because(self._reason(sent_s))}; the mission aboard may be incomplete"
             ) from error
         wrong = difference(items, [_cooked(item) for item in back[self.first_seq :]])
         if wrong is not None:
@@ -342,6 +346,15 @@ class Vehicle:
         why = refusal(firmware, heartbeat["type"])
         if why is not None:
             raise ConfigError(f"{self.name}: {why}")
+        return firmware
+
+    def _check_alone(self, since_s: float) -> None:
+        """Raise ConfigError if other vehicles use the address too.
+
+        Args:
+            since_s: Time (monotonic) of the connection.
+        """
+        self._within(since_s + _ALONE_S - time.monotonic(), lambda: False)
         ids = sorted(
             system.get_system_id() for system in self._client.get_systems() if system.has_autopilot()
         )
@@ -350,7 +363,6 @@ class Vehicle:
                 f"{self.name}: several vehicles use the address (systems {', '.join(map(str, ids))}); "
                 "allowed: one vehicle on each address"
             )
-        return firmware
 
     def _ask_rates(self, patience_s: float) -> None:
         """Request telemetry; without it ArduPilot sends only heartbeats. Raises VehicleError."""

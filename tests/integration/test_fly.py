@@ -122,7 +122,7 @@ def test_what_the_vehicle_says_when_it_refuses(tmp_path, start):
         r"vehicle 1: COMPONENT_ARM_DISARM was refused \(FAILED\): Arm: OpenDroneID: .*; trying again"
     )
     assert fly.end() == 130
-    assert fly.output.endswith("vehicle 1 received no command\n")
+    assert fly.output.endswith("vehicle 1 was not commanded to move\n")
     assert vehicle.left()["armed"] is False
 
 

@@ -106,6 +106,7 @@ def _fly(
 ) -> list[tables.Line]:
     """Fly cells, print the results as text or JSON, and store them."""
     seeds = seeds_of(args.seeds)
+    tables.check_writable(args.file)
     found, _ = fly_missing(wanted, seeds, args.out, work_of(args, Console(stderr=True)))
     lines = [
         tables.Line(cell=cell, found=search.figures(found[cell]), first=found[cell][0]) for cell in wanted

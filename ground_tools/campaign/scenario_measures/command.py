@@ -97,6 +97,7 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
     seeds, sources = seeds_of(args.seeds), _sources(args)
+    tables.check_writable(args.file)
     wanted = _of_files(sources, args.laws) if args.scn else _of_names(args)
     for one in wanted:
         campaign.flown_by(one.cells[0])

@@ -269,3 +269,26 @@ def test_an_aircraft_that_reports_the_loss_of_its_position_is_kept_clear_of():
     assert min(mute_m) < 8.0
     assert min(told_m) > 9.0
     assert sum(told_m) > sum(mute_m) + 4.0
+
+
+@pytest.mark.parametrize(
+    "words", [["table", "twenty"], ["peers", "table", "encounters"], ["scenarios", "lanes-20"]]
+)
+def test_a_file_that_cannot_be_written_is_refused_before_the_flights(words, tmp_path, monkeypatch, capsys):
+    def fly(*_: object) -> None:
+        raise AssertionError("it flies")
+
+    for name in ("ground_tools.campaign.cells.fly", "ground_tools.campaign.cells.look"):
+        monkeypatch.setattr(name, fly)
+    file = str(tmp_path / "nowhere" / "table.json")
+    assert cli.main(["campaign", *words, "--processes", "1", "--file", file]) == 2
+    assert f"--file: {file}: cannot be written: No such file or directory" in capsys.readouterr().err
+
+
+def test_the_check_of_a_file_leaves_it_as_it_is(tmp_path):
+    file = tmp_path / "table.json"
+    tables.check_writable(file)
+    assert not file.exists()
+    file.write_text("kept")
+    tables.check_writable(file)
+    assert file.read_text() == "kept"

@@ -13,7 +13,7 @@ import pytest
 from companion.errors import ConfigError
 from ground_tools.city import cells
 from ground_tools.city.cells import City
-from ground_tools.city.command import add_arguments, city_of
+from ground_tools.city.command import add_arguments, city_of, kept
 from ground_tools.city.measure import T_BEGUN, T_ENDED
 from ground_tools.city.traffic.demand import Demand
 from ground_tools.cli import main
@@ -53,10 +53,10 @@ def test_every_flight_is_accounted_for() -> None:
 def test_nobody_avoids_and_separation_is_lost() -> None:
     crowd = msgspec.structs.replace(SMALL.demand, pattern="event", per_km2=60.0, heights="free")
     lost, _ = cells.fly(msgspec.structs.replace(SMALL, demand=crowd, law="none", knows="perfect"), 3)
-    kept, _ = cells.fly(msgspec.structs.replace(SMALL, demand=crowd, knows="perfect"), 3)
+    avoided, _ = cells.fly(msgspec.structs.replace(SMALL, demand=crowd, knows="perfect"), 3)
     assert lost.losses > 0
-    assert kept.losses < lost.losses
-    assert kept.conflict > 0.0 == lost.conflict
+    assert avoided.losses < lost.losses
+    assert avoided.conflict > 0.0 == lost.conflict
 
 
 def test_the_command_keeps_and_continues_its_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -85,6 +85,34 @@ def test_the_command_keeps_and_continues_its_runs(tmp_path: Path, capsys: pytest
     flights = pq.read_table(next(iter(tmp_path.glob("*-1-flights.parquet"))))
     assert flights.num_rows == table["flights"][0].as_py()
     assert len(list(tmp_path.glob("*-losses.parquet"))) == 2
+
+
+def test_runs_of_another_file_of_flights_are_not_continued(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The file keeps its name, so its content tells."""
+    pytest.importorskip("pyarrow")
+    flights, lines = tmp_path / "meeting.scn", []
+    for name, lat, heading in (("A", 48.0, 0), ("B", 48.01, 180)):
+        lines.append(f"0:00:00.00>CRE {name},M600,{lat},16,{heading},200,20")
+        lines.append(f"0:00:00.00>DEST {name},{48.01 if heading == 0 else 48.0},16")
+    flights.write_text("\n".join(lines))
+    options = ["city", "--flights", str(flights), "--minutes", "0.4", "--settle", "5", "--knows", "perfect",
+               "--out", str(tmp_path / "out"), "--jobs", "1", "--json"]  # fmt: skip
+    assert main([*options, "--seeds", "1-1"]) == 0
+    assert main([*options, "--seeds", "1-1"]) == 0
+    flights.write_text("\n".join(lines).replace(",200,20", ",300,20"))
+    assert main([*options, "--seeds", "1-2"]) == 2
+    assert "was made with other settings (data: " in capsys.readouterr().err
+
+
+def test_runs_depend_on_the_channel_and_the_policy(tmp_path: Path) -> None:
+    (tmp_path / f"{SMALL.name}.jsonl").touch()
+    with pytest.raises(ConfigError, match="cannot be read"):
+        kept(tmp_path, SMALL)
+    (tmp_path / f"{SMALL.name}.jsonl").write_text("{}\n")
+    with pytest.raises(ConfigError, match=r"standard\.toml.*atmc\.safetensors"):
+        kept(tmp_path, SMALL)
 
 
 def test_wrong_options_are_refused() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from companion.events import Firmware, FlightMode, MissionItem
@@ -74,7 +76,7 @@ ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4
         (ARDUPILOT, "GUIDED", {"AUTO"}, [], "flown by another operator at 20.0 m and was left in GUIDED"),
         (ARDUPILOT, "LOITER", {"AUTO"}, [], "flown by another operator at 20.0 m and was left in LOITER"),
         (ARDUPILOT, "LAND", {"LAND"}, [], "descends at 20.0 m and was left in LAND"),
-        (ARDUPILOT, "AUTO", set(), [], "received no command"),
+        (ARDUPILOT, "AUTO", set(), [], "was not commanded to move"),
         (PX4, "AUTO.MISSION", {"AUTO.MISSION"}, [FlightMode.HOLD], "holds at 20.0 m in AUTO.LOITER"),
         (PX4, "AUTO.LOITER", {"AUTO.MISSION"}, [], "holds at 20.0 m in AUTO.LOITER"),
         (
@@ -152,6 +154,63 @@ def test_a_vehicle_whose_mission_does_not_start_is_made_safe():
 
 def test_a_mission_that_begins_in_the_air_is_not_started_on_the_ground():
     vehicle = Made(ARDUPILOT, "GUIDED", on_ground=True)
+    fleet = fleet_of(vehicle)
+    fleet._missions = [(WAYPOINT, RTL)]
+    with pytest.raises(VehicleError, match="does not begin with a take-off; add --takeoff"):
+        fleet.start()
+    assert vehicle.told == []
+
+
+def test_a_mission_that_flies_is_not_replaced():
+    """Both firmwares would fly the new items at once, and a part of them if the upload fails."""
+    idle, flying = Made(PX4, "AUTO.LOITER"), Made(PX4, "AUTO.MISSION")
+    for vehicle in (idle, flying):
+        vehicle.upload = vehicle.told.append  # type: ignore[attr-defined]
+    flying.name = "vehicle 2"
+    with pytest.raises(VehicleError, match=r"vehicle 2: it flies a mission in AUTO\.MISSION"):
+        fleet_of(idle, flying).upload([(WAYPOINT,), (WAYPOINT,)])
+    assert idle.told == flying.told == []
+
+
+@pytest.mark.usefixtures("clock")
+@pytest.mark.parametrize(("firmware", "gone_to"), [(ARDUPILOT, [1]), (PX4, [])])
+def test_a_mission_that_is_uploaded_in_flight_starts_with_its_first_item(firmware, gone_to):
+    """ArduPilot would continue with the item number at which the mission before was left."""
+    vehicle, asked = Made(firmware, "LOITER"), []
+    vehicle.item, vehicle.heard_s = 7, math.inf
+    vehicle.messages["MISSION_CURRENT"] = {"mission_state": 3}
+
+    def command(*_: object) -> None:
+        vehicle.told.append(vehicle.item)
+        vehicle.mode = vehicle.modes.mission
+
+    def go_on_with(number: int) -> None:
+        asked.append(number)
+        vehicle.item = number
+
+    vehicle.upload = lambda _: None  # type: ignore[attr-defined]
+    vehicle.go_on_with = go_on_with  # type: ignore[attr-defined]
+    vehicle.command = command  # type: ignore[method-assign]
+    fleet = fleet_of(vehicle)
+    fleet.upload([(WAYPOINT, RTL)])
+    fleet.start()
+    assert asked == gone_to
+    assert vehicle.told == [1 if gone_to else 7]
+
+
+@pytest.mark.usefixtures("clock")
+def test_an_armed_vehicle_does_not_take_off_before_its_home_is_known():
+    """The height of a take-off on PX4 is above mean sea level and follows from home."""
+    vehicle = Made(PX4, "AUTO.LOITER", on_ground=True)
+    with pytest.raises(VehicleError, match="vehicle 1: home did not finish within 90 s"):
+        fleet_of(vehicle).take_off(10.0)
+    assert vehicle.told == []
+
+
+def test_a_disarmed_vehicle_is_on_the_ground_although_its_land_detector_is_not_heard():
+    """PX4 arms at the start of a mission."""
+    vehicle = Made(PX4, "AUTO.LOITER", on_ground=False)
+    vehicle.armed = False
     fleet = fleet_of(vehicle)
     fleet._missions = [(WAYPOINT, RTL)]
     with pytest.raises(VehicleError, match="does not begin with a take-off; add --takeoff"):
@@ -267,6 +326,33 @@ def test_a_moment_in_another_mode_is_forgotten_by_the_next_step():
     with pytest.raises(VehicleError, match="is in GUIDED, not"):
         fleet.land()
     assert steps.time.monotonic() > 63.0
+
+
+@pytest.mark.usefixtures("clock")
+@pytest.mark.parametrize(
+    ("lost", "words"),
+    [({"mode": "AUTO.RTL"}, "it is in AUTO.RTL"), ({"silent": True}, "no heartbeat for 10 s")],
+)
+def test_no_vehicle_starts_if_one_that_waits_at_its_start_is_lost(lost, words, monkeypatch):
+    waits, comes = Made(PX4, "AUTO.MISSION"), Made(PX4, "AUTO.MISSION")
+    comes.name = "vehicle 2"
+    waits.place, comes.place = (47.4, 8.5, 20.0), (47.41, 8.5, 20.0)  # type: ignore[attr-defined]
+    fleet = fleet_of(waits, comes)
+    fleet._missions = [(WAYPOINT, WAYPOINT)] * 2
+    polls, sleep = [0], steps.time.sleep
+
+    def polled(seconds: float) -> None:
+        sleep(seconds)
+        polls[0] += 1
+        if polls[0] == 5:
+            for name, value in lost.items():
+                setattr(waits, name, value)
+        if polls[0] == 200:
+            comes.place = waits.place  # type: ignore[attr-defined]
+
+    monkeypatch.setattr(steps.time, "sleep", polled)
+    with pytest.raises(VehicleError, match=f"vehicle 1: {words}"):
+        fleet.gather()
 
 
 @pytest.mark.usefixtures("clock")

@@ -66,6 +66,7 @@ def test_a_wpl_file_becomes_items_without_home(tmp_path):
         (simple(frame=2), "item 2: command 16: MAV_FRAME 2 has no position"),
         (simple(177, 2, [1, 3, 0, 0, 0, 0, 0]), "item 2: command 177: DO_JUMP"),
         (simple(params=[0, 0, 0]), "item 2: Expected `array` of length 7"),
+        (simple() | {"autoContinue": False}, "item 2: autoContinue: a mission that stops after an item"),
         ({"type": "SimpleItem", "command": 16}, "item 2: Object missing required field `frame`"),
     ],
 )  # fmt: skip
@@ -99,6 +100,9 @@ def test_a_plan_with_more_than_a_mission_is_refused(tmp_path, parts, words):
         ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 400 1\n2 0 3 16 0 0 0 0 47 8 30 1\n", "line 3: index 2 is"),
         ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 400 1\n1 0 3\n", "line 3: it has 3 fields; allowed: 12"),
         ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 400 1\n1 0 3 16 0 0 0 inf 47 8 30 1\n", "item 1: .* not finite"),
+        ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 400 1\n1 0 3 16 0 0 0 0 47 8 30 0\n", "line 3: AUTOCONTINUE: a"),
+        ("QGC WPL 110\n0 1 3 22 0 0 0 0 47 8 15 1\n1 0 3 16 0 0 0 0 47 8 30 1\n", "line 2: .* is not home"),
+        ("QGC WPL 110\n0 1 3 16 0 0 0 0 47 8 15 1\n1 0 3 16 0 0 0 0 47 8 30 1\n", "line 2: .* is not home"),
         ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 400 1\n", "no item"),
     ],
 )  # fmt: skip
@@ -141,6 +145,17 @@ def test_a_scenario_becomes_one_mission_an_aircraft_at_its_speeds():
     assert len(flown) == 4
     for row, wanted in zip(flown, turn.points, strict=True):
         assert row == pytest.approx(wanted, abs=0.02)
+
+
+def test_a_path_that_begins_later_is_held_at_its_beginning():
+    paths = tuple(
+        PathSettings(points=((begin_s, n, 0.0, -5.0), (begin_s + 9.0, n, 9.0, -5.0)))
+        for begin_s, n in ((2.0, 0.0), (12.0, 50.0))
+    )
+    first, later = missions.scenario_missions(Scenario(path=paths), 1, ORIGIN)
+    assert [item.command for item in first] == [16, 178, 16]
+    assert [item.command for item in later] == [16, 16, 178, 16]
+    assert later[1] == msgspec.structs.replace(later[0], seq=2, params=(10.0, *later[0].params[1:]))
 
 
 def test_a_path_under_the_ground_is_refused():

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from companion.errors import ConfigError
 from ground_tools.fly.vehicle import ARM_DISARM, Vehicle, VehicleError
 
 
@@ -50,3 +51,18 @@ def test_a_refused_arming_does_not_count_as_armed_by_us(vehicle, monkeypatch):
     with pytest.raises(VehicleError, match="COMPONENT_ARM_DISARM was refused"):
         vehicle.arm()
     assert not vehicle.armed_by_us
+
+
+def test_a_second_vehicle_that_is_heard_after_the_first_is_found(vehicle, monkeypatch):
+    """The first one may send its heartbeats more often."""
+    now_s = [100.0]
+    clock = SimpleNamespace(monotonic=lambda: now_s[0], sleep=lambda s: now_s.__setitem__(0, now_s[0] + s))
+    monkeypatch.setattr("ground_tools.fly.vehicle.time", clock)
+
+    def systems() -> list[SimpleNamespace]:
+        ids = (7, 8) if now_s[0] > 101.9 else (7,)
+        return [SimpleNamespace(get_system_id=lambda i=i: i, has_autopilot=lambda: True) for i in ids]
+
+    vehicle._client = SimpleNamespace(get_systems=systems)
+    with pytest.raises(ConfigError, match=r"several vehicles use the address \(systems 7, 8\)"):
+        vehicle._check_alone(100.0)
