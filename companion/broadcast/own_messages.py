@@ -32,6 +32,9 @@ _STAMPS = 8
 """Number of remembered position timestamps. This many ground stations may repeat their positions. If a clock
 is set back by this many seconds, it has passed its old timestamps within `OPERATOR_FRESH_S`."""
 _ALTITUDES = (-999.5, 31767.5)
+_HOME_MOVED_M = 1.0
+"""If the altitudes of home and of the take-off differ by more than this, home was set anew. Heights are then
+above the take-off."""
 _UTC = (1_546_300_801.0, 1_546_300_800.0 + 2**32 - 1)
 """Range of a System timestamp, from 2019 on."""
 
@@ -158,6 +161,8 @@ def location_of(own: Ownship, now_s: float, max_age_s: float) -> Location:
     accuracy = None if own.estimator_lost(now_s) else own.gnss_now(now_s)
     lat, lon, alt_msl = position.lat_deg, position.lon_deg, position.alt_msl_m
     height = position.height_above_home_m
+    if own.takeoff is not None and abs(alt_msl - own.takeoff.alt_msl_m - height) > _HOME_MOVED_M:
+        height = alt_msl - own.takeoff.alt_msl_m
     north, east, down = own.velocity_ned_mps
     timestamp, at_s = None, now_s
     if own.utc_offset_s is not None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import pytest
 
 from companion.broadcast.own_messages import location_of
-from companion.events import EstimatorState, GlobalPosition, GnssFix, VehicleTime
+from companion.events import EstimatorState, GlobalPosition, GnssFix, Landed, LandedState, VehicleTime
 from companion.ownship import Ownship
 
 NORTH_MPS = 25.0
@@ -47,6 +48,22 @@ def test_the_position_is_that_of_the_time_by_which_it_is_dated(
     assert location.lat_deg is not None
     assert (location.lat_deg - 47.0) * METRES_PER_DEG == pytest.approx(NORTH_MPS * dated_s, abs=0.01)
     assert location.height_m == pytest.approx(50.0 + 4.0 * dated_s)
+
+
+@pytest.mark.parametrize(("home_m", "height_m"), [(400.0, 50.0), (400.8, 49.2), (402.0, 50.0), (450.0, 50.0)])
+def test_the_height_is_above_the_take_off_if_home_is_set_in_flight(
+    own: Ownship, home_m: float, height_m: float
+) -> None:
+    flying = own.position
+    assert flying is not None
+    ground = msgspec.structs.replace(flying, alt_msl_m=400.0, height_above_home_m=0.0)
+    own = Ownship()
+    own.observe(LandedState(landed=Landed.ON_GROUND), 0.0)
+    own.observe(ground, 0.0)
+    own.observe(LandedState(landed=Landed.IN_AIR), 0.1)
+    above_home_m = flying.alt_msl_m - home_m
+    own.observe(msgspec.structs.replace(flying, time_boot_s=110.0, height_above_home_m=above_home_m), 10.0)
+    assert location_of(own, 10.0, 1.0).height_m == pytest.approx(height_m)
 
 
 def test_the_accuracies_of_the_receiver_are_not_told_of_an_estimator_that_lost_it(own: Ownship) -> None:
