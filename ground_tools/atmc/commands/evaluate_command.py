@@ -155,8 +155,10 @@ def _check(question: Question) -> None:
         raise ConfigError(f"--load: {question.load:g} is out of range; allowed: 0 to 0.95")
     if question.load and question.objective == "paper":
         raise ConfigError("--load: the paper's objective has no foreign transmissions; allowed with it: 0")
-    if question.samples < 1:
-        raise ConfigError(f"--samples: {question.samples} is out of range; allowed: 1 or more")
+    if question.samples < 2:
+        raise ConfigError(
+            f"--samples: {question.samples} is out of range; allowed: 2 or more, for the intervals"
+        )
     check_seed(question.seed)
     if not 0.0 <= question.sigma_db <= 30.0:
         raise ConfigError(f"--sigma: {question.sigma_db:g} is out of range; allowed: 0 to 30")

@@ -75,7 +75,7 @@ def test_a_constant_policy_is_evaluated_like_its_fixed_mode(capsys):
     ],
 )
 def test_policies_with_other_actions_are_not_evaluated(name, words, capsys):
-    assert main(["atmc", "evaluate", "--policy", f"plugin:{name}", "--samples", "1", "--uavs", "3"]) == 2
+    assert main(["atmc", "evaluate", "--policy", f"plugin:{name}", "--samples", "2", "--uavs", "3"]) == 2
     assert words in capsys.readouterr().err
 
 
