@@ -145,7 +145,7 @@ class SensedTraffic:
         for scan in list(scans.values())[-_MOST_SCANS:]:
             sight, view = sight_of_scan(scan, pose, self._config), View(scan, pose, self._config)
             self._objects.see(scan.component, sight.objects, pose, view)
-            self._surfaces.see(sight.surfaces, pose, view)
+            self._surfaces.see(scan.component, sight.surfaces, pose, view)
         points: dict[int, list[ObstaclePoint]] = {}
         for event in measured:
             if isinstance(event, ObstaclePoint):
@@ -153,7 +153,7 @@ class SensedTraffic:
         for component, some in points.items():
             sight = sight_of_points(some, pose, self._config)
             self._objects.see(component, sight.objects, pose, None)
-            self._surfaces.see(sight.surfaces, pose, None)
+            self._surfaces.see(component, sight.surfaces, pose, None)
         aircraft = {(e.component, e.report.icao): e for e in measured if isinstance(e, SensedAircraft)}
         for (component, _), told in aircraft.items():
             place = self._aircraft(told, pose, own)
