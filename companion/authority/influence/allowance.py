@@ -11,7 +11,7 @@ Each of these rules closes a way around the others:
 - A track may be in conflict for `track_s`, and inside its volume (separation and margins) for `inside_s` of
   that: an honest aircraft that is avoided does not stay there. Used time is remembered after the track has
   gone, so that silence renews nothing. A track that is first heard inside its volume takes over the time that
-  the last tracks there have used.
+  the last tracks there have used, except those that stand still.
 - A track that yields is avoided only as far as all others allow. Between two tracks there may be no way out,
   and the law would divide the violation between them. A track yields if it was first heard inside its volume,
   has been there for `remembered.PRESSES_S`, or follows the aircraft (`following`). It also yields if it
@@ -255,7 +255,9 @@ class Allowances:
             if not known.entered and now_s - known.first_s <= _NEW_S:
                 known.appeared_s = now_s
                 known.inherit(
-                    t for t in self._tracks.values() if t.pressed_s and now_s - t.heard_s <= _HEIR_S
+                    t
+                    for t in self._tracks.values()
+                    if t.pressed_s and now_s - t.heard_s <= _HEIR_S and not t.stands(t.heard_s)
                 )
             known.entered = True
             if known.appears(now_s):

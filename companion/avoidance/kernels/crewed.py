@@ -173,7 +173,9 @@ def _predict(other: Other, own_d: float, ahead: Floats) -> None:
 
 @compiled
 def _soonest_loss(other: Other, own: Own, radius: float, height: float, speed: float) -> float:
-    """Soonest time (s) at which well clear of an aircraft could be lost, horizontally and vertically.
+    """Soonest time (s) at which well clear of an aircraft could be lost, horizontally and vertically. If it
+    may be lost already, a negative number, -1 where the aircraft is at our place: many may be that near, as
+    gliders in a thermal are.
 
     Args:
         radius, height: well clear.
@@ -181,12 +183,13 @@ def _soonest_loss(other: Other, own: Own, radius: float, height: float, speed: f
     """
     n = other.n + other.age_s * other.vn - own.position.n
     e = other.e + other.age_s * other.ve - own.position.e
-    most = math.sqrt(other.vn * other.vn + other.ve * other.ve) + speed
-    aside = max(math.sqrt(n * n + e * e) - radius, 0.0) / most
-    if other.vertical_known == 0.0:
-        return aside
     d = other.d + other.age_s * other.vd - own.position.d
-    return max(aside, max(abs(d) - height - 2.0 * other.sigma_down_m, 0.0) / (abs(other.vd) + CLIMB_MOST_MPS))
+    aside, above = math.sqrt(n * n + e * e), abs(d) if other.vertical_known != 0.0 else 0.0
+    height += 2.0 * other.sigma_down_m
+    if aside <= radius and above <= height:
+        return max(aside / radius, above / height) - 1.0
+    most = math.sqrt(other.vn * other.vn + other.ve * other.ve) + speed
+    return max(max(aside - radius, 0.0) / most, max(above - height, 0.0) / (abs(other.vd) + CLIMB_MOST_MPS))
 
 
 @compiled

@@ -39,11 +39,14 @@ class Fusing:
         """Time since which a transmitted track and a sensed object have agreed."""
         self.fused: dict[Key, str] = {}
         """Transmitted tracks that are left out now, and the names of their sensed objects."""
+        self.off: dict[str, Vec3] = {}
+        """For each of these objects, where its track claims to be, relative to where it is seen (NED, m)."""
 
     def clear(self) -> None:
         """Forget everything."""
         self._since_s.clear()
         self.fused.clear()
+        self.off.clear()
 
     def look(
         self, now_s: float, heard: Sequence[Neighbour], objects: Sequence[Followed], own_sigma_m: float
@@ -78,7 +81,16 @@ class Fusing:
             and names.count(name) == 1
             and now_s - self._since_s[key, name] >= AGREED_S - 1e-6
         }
-        return [other for other in heard if (other.adsb, other.track_id) not in self.fused]
+        seen, left = {one.name: one for one in objects}, []
+        self.off = {}
+        for other in heard:
+            name = self.fused.get((other.adsb, other.track_id))
+            if name is None:
+                left.append(other)
+            else:
+                here, there = seen[name].at(now_s), _predicted(other)
+                self.off[name] = there[0] - here[0], there[1] - here[1], there[2] - here[2]
+        return left
 
 
 def _agree(now_s: float, other: Neighbour, one: Followed, own_sigma_m: float) -> bool:

@@ -107,10 +107,13 @@ class Followed:
     """Whether the sensor reports its velocity."""
     met_mps: Vec3
     """Own velocity when it was first seen."""
+    component: int
+    """Component that measured it last. Only scans of that component show that it is gone, because another
+    sensor may look over it or through it."""
     measured: int = 1
     moves: bool = False
     passed: int = 0
-    """Number of consecutive scans that saw past it since its last measurement."""
+    """Number of consecutive scans of its component that saw past it since its last measurement."""
 
     @property
     def confirmed(self) -> bool:
@@ -210,10 +213,12 @@ class Objects:
             if number not in used and one.name not in fed:
                 used.add(number)
                 fed.add(one.name)
-                self._update(one, places[number], pose)
+                self._update(component, one, places[number], pose)
         if view is not None:
             # A moving object is soon forgotten anyway, and its present place is only a prediction.
-            for one in [one for one in free if one.name not in fed and one.key is None and not one.moves]:
+            for one in free:
+                if one.name in fed or one.component != component or one.key is not None or one.moves:
+                    continue
                 one.passed = one.passed + 1 if view.passes(one.position, flat=one.flat) else 0
             self.held = [one for one in self.held if one.passed < _PASSED]
         for number, place in enumerate(places):
@@ -257,7 +262,7 @@ class Objects:
         same = key is not None and key == one.key
         return -1.0 if same else math.hypot(along / s_along, across / s_across)
 
-    def _update(self, one: Followed, place: Seen, pose: Pose) -> None:
+    def _update(self, component: int, one: Followed, place: Seen, pose: Pose) -> None:
         passed_s = pose.at_s - one.at_s
         noise = self._noise(place, pose, passed_s)
         n, e, d = one.at(pose.at_s)
@@ -281,7 +286,7 @@ class Objects:
             )
         )
         one.at_s, one.measured, one.passed = pose.at_s, one.measured + 1, 0
-        one.across_m = place.across_m
+        one.component, one.across_m = component, place.across_m
         one.distance_m = math.dist(place.position, pose.position)
         one.flat, one.tall = place.flat, place.tall or one.tall
         one.vertical_known = place.vertical_known
@@ -334,6 +339,7 @@ class Objects:
             vertical_known=place.vertical_known,
             tracked=tracked,
             met_mps=pose.velocity,
+            component=component,
             measured=CONFIRMED if place.number is not None else 1,
         )
         one.moves = tracked and math.hypot(*one.velocity) > STANDING_MPS

@@ -145,7 +145,7 @@ class SensedTraffic:
         for scan in list(scans.values())[-_MOST_SCANS:]:
             sight, view = sight_of_scan(scan, pose, self._config), View(scan, pose, self._config)
             self._objects.see(scan.component, sight.objects, pose, view)
-            self._surfaces.see(sight.surfaces, pose, view)
+            self._surfaces.see(scan.component, sight.surfaces, pose, view)
         points: dict[int, list[ObstaclePoint]] = {}
         for event in measured:
             if isinstance(event, ObstaclePoint):
@@ -153,7 +153,7 @@ class SensedTraffic:
         for component, some in points.items():
             sight = sight_of_points(some, pose, self._config)
             self._objects.see(component, sight.objects, pose, None)
-            self._surfaces.see(sight.surfaces, pose, None)
+            self._surfaces.see(component, sight.surfaces, pose, None)
         aircraft = {(e.component, e.report.icao): e for e in measured if isinstance(e, SensedAircraft)}
         for (component, _), told in aircraft.items():
             place = self._aircraft(told, pose, own)
@@ -222,17 +222,24 @@ class SensedTraffic:
         """One object. Its position is relative to ours, with two exceptions, whose margin holds the larger of
         both errors, that of the measurement and that of the own position: an aircraft that the sensor follows
         itself is reported by its latitude and longitude, and a sensed object that stands for a transmitted
-        track, too, is the same aircraft by inference only."""
+        track, too, is the same aircraft by inference only. If that is wrong, the other aircraft is where its
+        track says, so the margin also holds the distance to there."""
         level = abs(one.position[2] - here[2]) <= _level_m(one.flat, one.distance_m)
         known = one.vertical_known and not one.tall and (not level or (one.moves and not one.flat))
         error_m = followed.TRACKED_SIGMA_M if one.tracked else self._error_m(one.distance_m)
-        relative = not one.tracked and one.name not in self._fusing.fused.values()
+        off = self._fusing.off.get(one.name)
+        relative = not one.tracked and off is None
+        margin_m = one.across_m + _ERRORS * error_m
+        if off is not None:
+            margin_m = max(margin_m, SIGMAS * own_sigma_m) + math.hypot(
+                off[0], off[1], off[2] if known else 0.0
+            )
         return Neighbour(
             track_id=SENSED + one.name,
             position_ned_m=one.position,
             velocity_ned_mps=one.seen_from(here),
             age_s=now_s - one.at_s,
-            sigma_m=_sigma_m(one.across_m + _ERRORS * error_m, 0.0 if relative else own_sigma_m),
+            sigma_m=_sigma_m(margin_m, 0.0 if relative else own_sigma_m),
             sigma_mps=max(one.sigma_mps, _DRIFT_MPS) if one.moves else _DRIFT_MPS,
             share=1.0,
             vertical_known=known,

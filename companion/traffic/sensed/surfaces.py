@@ -35,6 +35,9 @@ class Patch:
     place: Seen
     distance_m: float
     """Distance from us when it was measured."""
+    component: int
+    """Component that measured it. Only a scan of that component shows that it is gone, because another sensor
+    may look over it or through it."""
     measured: int = 1
 
     @property
@@ -57,7 +60,7 @@ class Surfaces:
         """Remove those that were not seen for too long."""
         self.held = {cell: one for cell, one in self.held.items() if 0.0 <= now_s - one.at_s <= EXPIRE_S}
 
-    def see(self, places: Sequence[Seen], pose: Pose, view: View | None) -> None:
+    def see(self, component: int, places: Sequence[Seen], pose: Pose, view: View | None) -> None:
         """Take in what one component saw at a time. Arguments are those of `Objects.see`."""
         if not places and not self.held:
             return
@@ -68,12 +71,15 @@ class Surfaces:
             before = self.held.get(cell)
             away = math.dist(place.position, pose.position)
             self.held[cell] = Patch(
-                cell, pose.at_s, place, away, measured=1 if before is None else before.measured + 1
+                cell, pose.at_s, place, away, component, 1 if before is None else before.measured + 1
             )
         held = [
             one
             for cell, one in self.held.items()
-            if cell in nearest or view is None or not view.passes(one.place.position, flat=one.place.flat)
+            if cell in nearest
+            or view is None
+            or one.component != component
+            or not view.passes(one.place.position, flat=one.place.flat)
         ]
         held.sort(key=lambda one: (math.dist(one.place.position, pose.position), one.cell))
         self.held = {one.cell: one for one in held[:MOST]}

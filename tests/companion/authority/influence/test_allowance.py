@@ -262,3 +262,13 @@ def test_the_signal_place_of_a_moving_proven_track_does_not_stand():
     place = msgspec.structs.replace(track, track_id=f"A{SIGNAL_PLACE}", proven=False)
     assert sky.run(30.0, track, place) == ["A", f"A{SIGNAL_PLACE}"]
     assert sky.run(25.0, track, place) == ["A"]
+
+
+def test_who_takes_off_beside_a_hovering_aircraft_inherits_nothing_from_it():
+    """The one that hovers inside its volume has spent its allowance there, and is still avoided."""
+    sky = Sky()
+    hovers = other("A", at=(15.0, 0.0, 0.0), velocity=ZERO)
+    assert sky.run(35.0, hovers, radius_m=26.0) == ["A"]
+    assert sky.scopes() == [("track", True)]
+    comes = other("B", at=(0.0, 20.0, 0.0), velocity=(0.0, -1.0, 0.0))
+    assert sky.run(15.0, hovers, comes, radius_m=26.0) == ["A", "B"]

@@ -259,3 +259,17 @@ def test_one_that_comes_slowly_from_near_is_backed_off_from() -> None:
 def test_a_height_without_an_error_is_no_nan() -> None:
     exact = other((0.0, 300.0, -157.0), sigma_down_m=0.0)
     assert wish_of(exact, other((400.0, 0.0, -80.0), (-5.0, 0.0, 0.0)))[1]
+
+
+@pytest.mark.parametrize("known", [0.0, 1.0])
+def test_of_a_crowd_that_is_near_already_the_nearest_count(known: float) -> None:
+    """40 circle 500 m around us; one is 60 m away, and comes last in the table."""
+    turns = [math.tau * i / 40 for i in range(40)]
+    ring = [other((500.0 * math.cos(a), 500.0 * math.sin(a), -80.0), vertical_known=known) for a in turns]
+    near = other((0.0, -60.0, -75.0), vertical_known=known)
+    alone, _ = wish_of(*ring)
+    for row in (0, 40):
+        wish, gives_way = wish_of(*ring[:row], near, *ring[row:])
+        assert gives_way
+        assert wish != pytest.approx(alone)
+        assert wish[1] > 1.0 or wish[2] != 0.0

@@ -41,7 +41,7 @@ def followed(**values: Any) -> Followed:
         "name": "1", "key": None, "at_s": AT_S, "position": (30.0, 0.0, 0.0), "velocity": (0.0, 0.0, 0.0),
         "along": _Axis(0.1, 0.0, 0.1), "across": _Axis(0.5, 0.0, 0.1), "high": _Axis(1.0, 0.0, 1.0),
         "across_m": 1.0, "distance_m": 30.0, "flat": True, "tall": False, "vertical_known": True,
-        "tracked": False, "met_mps": (0.0, 0.0, 0.0), "measured": 2,
+        "tracked": False, "met_mps": (0.0, 0.0, 0.0), "component": 196, "measured": 2,
     } | values  # fmt: skip
     return Followed(**given)
 

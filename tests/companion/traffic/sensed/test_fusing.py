@@ -7,8 +7,10 @@ import math
 
 import pytest
 
-from companion.avoidance.law import ASIDE, Neighbour
-from tests.companion.traffic.sensed.world import World
+from companion.avoidance.law import ASIDE, Law, Neighbour, Situation
+from companion.avoidance.trajectory import Trajectory
+from companion.config import AvoidanceConfig, LimitsConfig
+from tests.companion.traffic.sensed.world import World, off
 
 
 def heard(world: World, north: float, east: float, velocity=(0.0, 0.0, 0.0), **more) -> Neighbour:
@@ -110,7 +112,8 @@ def test_a_sensed_object_that_goes_gives_the_transmitted_track_back():
 
 
 def test_what_stands_for_a_transmitted_track_too_is_kept_away_from_by_the_larger_error():
-    """That it is one aircraft is an inference. Its sender's place beside ours holds the error of ours."""
+    """That it is one aircraft is an inference. Its sender's place beside ours holds the error of ours, and
+    the track may be another aircraft, which is where it says."""
     world = hovering()
     world.accuracy_m = 4.0
     agree(world, 1.6, heard(world, 25.5, 2.0))
@@ -119,8 +122,33 @@ def test_what_stands_for_a_transmitted_track_too_is_kept_away_from_by_the_larger
     agree(world, 3.0, heard(world, 25.5, 2.0))
     (both,) = world.fused(heard(world, 25.5, 2.0))
     assert not both.relative
-    assert math.hypot(both.sigma_m, world.own.sigma_m) == pytest.approx(4.0)
-    assert both.sigma_m == 0.0
+    apart_m = off(both, 25.5, 2.0)
+    assert 0.3 < apart_m < 2.0
+    assert 4.0 * math.hypot(both.sigma_m, world.own.sigma_m) == pytest.approx(16.0 + apart_m, abs=0.01)
     (again,) = world.fused()
     assert again.relative
     assert again.sigma_m > 0.5
+
+
+@pytest.mark.parametrize(("beside_m", "error_m"), [(11.5, 0.0), (11.5, -2.5), (13.5, -2.5)])
+def test_an_aircraft_that_the_sensor_does_not_see_is_not_hidden_by_a_pole_beside_it(beside_m, error_m):
+    """It hovers 60 m ahead, beside a pole and near our path. Taken for the pole, it was passed at 4 m."""
+    path_m = 12.0
+    world = World(things=lambda _: [(60.0, -path_m, 0.3)], velocity=(3.0, 0.0, 0.0))
+    place, path = (60.0, beside_m - path_m, 0.0), Trajectory([0, 60], [(0, 0, 0), (180, 0, 0)])
+    law, began_s, fused, nearest = Law(AvoidanceConfig(), LimitsConfig(), path), world.now_s, False, math.inf
+    command = world.velocity
+    for tick in range(700):
+        world.step()
+        now_s = world.now_s - began_s
+        if tick % 4 == 0:
+            track = Neighbour("OTHER", (60.0, place[1] + error_m, 0.0), (0.0, 0.0, 0.0), now_s % 1.0, 3.0)
+            neighbours = world.fused(track)
+            fused = fused or track not in neighbours
+            view = Situation(now_s, now_s, world.position, world.velocity, world.own.sigma_m, neighbours)
+            command = law.decide(view).chosen_ned_mps
+        n, e, d = (v + 0.1 * (c - v) for v, c in zip(world.velocity, command, strict=True))
+        world.velocity = n, e, d
+        nearest = min(nearest, math.dist(world.position, place))
+    assert fused
+    assert nearest > 10.0

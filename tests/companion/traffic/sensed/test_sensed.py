@@ -393,3 +393,21 @@ def test_a_pole_out_of_view_is_remembered_while_the_scan_does_not_reach_it():
     for _ in range(40):
         world.step(blind, scans=False)
     assert off(one(world), 20.0, 0.0) < 1.5
+
+
+@pytest.mark.parametrize("every", [2, 4, 10])
+@pytest.mark.parametrize("wall", [False, True])
+def test_a_sensor_that_does_not_see_a_thing_takes_nothing_from_the_one_that_does(wall, every):
+    """A second sensor looks over a wall or a pole, 10 times a second; the first sees it 2 to 10 times."""
+    world = World()
+    if wall:
+        world.walls = [((20.0, -30.0, 0.0), (20.0, 30.0, 0.0))]
+    else:
+        world.things = lambda _: [(20.0, 0.0, 0.3)]
+    empty = ObstacleScan(
+        component=1, axes="body", first_deg=0.0, step_deg=5.0, max_cm=4000, distances_cm=(NOTHING,) * 72
+    )
+    for number in range(120):
+        scans = [world.scan()] if number % every == 0 else []
+        world.step(*scans, *([empty] if number % 2 else []), scans=False)
+        assert world.seen() or number <= every

@@ -12,7 +12,7 @@ from tests.companion.traffic.sensed.made import AT_S, pose, seen
 @pytest.mark.parametrize(("after_s", "held"), [(-0.1, 0), (0.0, 1), (3.0, 1), (3.1, 0)])
 def test_a_place_is_remembered_for_three_seconds(after_s: float, held: int) -> None:
     surfaces = Surfaces()
-    surfaces.see([seen(20.0, 0.0)], pose(), None)
+    surfaces.see(196, [seen(20.0, 0.0)], pose(), None)
     surfaces.expire(AT_S + after_s)
     assert len(surfaces.held) == held
 
@@ -21,7 +21,7 @@ def test_of_each_cell_the_nearest_place_is_held_and_of_all_the_nearest_cells() -
     surfaces = Surfaces()
     wall = [seen(24.0 + deep_m, CELL_M * column + 1.0) for deep_m in (3.0, 0.0) for column in range(30)]
     for _ in range(2):
-        surfaces.see(wall, pose(), None)
+        surfaces.see(196, wall, pose(), None)
     assert [one.place.position[:2] for one in surfaces.held.values()] == [
         (24.0, CELL_M * column + 1.0) for column in range(MOST)
     ]
