@@ -225,3 +225,74 @@ def test_disarmed_in_the_middle_of_a_batch(use, firmware):
     one.mode = MISSION
     one.run()
     assert one.asks(EXTERNAL)
+
+
+# ---------------------------------------------------------------- 6: a request that is obeyed too late
+
+
+def overruled(use, firmware, rearm, mode=STICKS):
+    """The vehicle has obeyed the request for our mode after the pilot had selected his."""
+    one = Flying(config(use, rearm=rearm), firmware).airborne(MISSION)
+    assert one.asks(EXTERNAL)
+    one.beat(mode)
+    one.run(0.3)
+    one.beat(EXTERNAL)
+    one.run()
+    return one
+
+
+@BOTH
+@USES
+@REARM
+def test_a_request_that_is_obeyed_after_the_pilots_choice_gives_nothing_back(use, firmware, rearm):
+    one = overruled(use, firmware, rearm)
+    one.run(5.0)
+    assert not one.flies()
+    assert not one.asks(EXTERNAL)
+    assert one.gate.lost is not None
+    one.beat(RTL)
+    one.beat(MISSION if use == "guard" else EXTERNAL)
+    assert (one.gate.lost is None) is (rearm == "mode")
+
+
+@BOTH
+@REARM
+def test_a_handback_that_is_obeyed_after_the_pilots_choice_gives_nothing_back(firmware, rearm):
+    one = flying("guard", firmware, rearm=rearm)
+    assert one.asks(MISSION)
+    one.beat(STICKS)
+    one.run(0.3)
+    one.beat(MISSION)
+    one.run(5.0)
+    assert one.gate.lost is not None
+    assert one.asks(STICKS)
+
+
+@BOTH
+@USES
+@REARM
+@pytest.mark.parametrize("mode", [STICKS, HOLD])
+def test_then_only_the_pilots_own_mode_may_be_requested(use, firmware, rearm, mode):
+    one = overruled(use, firmware, rearm, mode)
+    for other in {EXTERNAL, MISSION, HOLD, STICKS} - {mode}:
+        assert not one.asks(other)
+    one.run(3.0)
+    assert one.asks(mode)
+    one.beat(mode)
+    one.run()
+    assert not one.asks(mode)
+    assert not one.flies()
+    one.beat(EXTERNAL)
+    one.run()
+    assert one.asks(EXTERNAL) is (use == "fly" and rearm == "mode"), "now it is his own choice"
+
+
+@BOTH
+@USES
+def test_a_mode_that_was_entered_before_the_pilots_choice_is_his_when_he_selects_it(use, firmware):
+    one = flying(use, firmware)
+    one.beat(STICKS)
+    one.beat(EXTERNAL)
+    one.run()
+    assert not one.asks(STICKS)
+    assert one.gate.lost is not None
