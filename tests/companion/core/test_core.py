@@ -118,23 +118,6 @@ def test_what_was_decided_before_the_pilot_flew_is_not_flown_after(make_bench, s
     assert bench.setpoints()[0].velocity_ned_mps[1] < -0.01
 
 
-def test_a_request_that_the_vehicle_obeys_after_the_pilots_choice_gives_no_authority(make_bench):
-    """It was on its way as he selected his mode. Only what he selects after that counts."""
-    bench = make_bench(rearm="mode")
-    bench.firmware, bench.mode, bench.obeys = Firmware.ARDUPILOT, FlightMode.MISSION, False
-    bench.until(lambda: any(isinstance(c, SetMode) for c in bench.commands))
-    bench.mode = FlightMode.STICKS
-    bench.step(2)
-    assert bench.core.state is State.YIELDED
-    bench.mode = FlightMode.EXTERNAL
-    bench.step(200)
-    assert bench.core.state is State.YIELDED
-    bench.mode = FlightMode.STICKS
-    bench.step(2)
-    bench.mode = FlightMode.EXTERNAL
-    bench.until(lambda: bench.core.in_control)
-
-
 def test_rearm_never_survives_a_landing(make_bench):
     bench = make_bench(rearm="never")
     bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
