@@ -14,7 +14,7 @@ from companion.authority.handback import HandBack
 from companion.authority.late_input import LateInput
 from companion.authority.modes import OurModes
 from companion.authority.plan import Plan
-from companion.authority.readiness import Readiness, was_disarmed
+from companion.authority.readiness import Readiness
 from companion.authority.reasons import Reasons, Refused
 from companion.authority.standstill import Standstill
 from companion.authority.step import Cycle, Step
@@ -310,7 +310,7 @@ class Control:
         if self._own.mode is gives and now_s < self._obeyed_until_s:
             self._left = False
         if rearm == "disarm":
-            return was_disarmed(shown)
+            return self._readiness.disarmed
         return rearm == "mode" and self._left and self._own.mode is gives
 
     @property

@@ -63,6 +63,8 @@ STALL_S = 0.25
 """A longer pause in reading the input is a stall: messages read after it may be old."""
 _SILENCE_S = 0.5
 """A mode may have been missed in a longer pause between the vehicle's messages."""
+_RESTART_S = 1.0
+"""An autopilot that restarts is silent for longer than this."""
 _FRESH_S = 0.25
 _ANSWER_S = 0.1
 """How long a TIMESYNC answer counts as proof that the vehicle reads its input."""
@@ -195,6 +197,8 @@ class Gate:
 
     def _note_heard(self, now_s: float) -> None:
         self._fresh = self._fresh and now_s - self._heard_s <= _SILENCE_S
+        if now_s - self._heard_s > _RESTART_S:
+            self._mandate.unheard()
         self._heard_s = now_s
 
     def _is_news(self, now_s: float) -> bool:

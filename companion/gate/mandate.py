@@ -20,6 +20,9 @@ _LATE_S = 3.0
 _DOWN_S, _GROUNDED_S = 1.5, 12.0
 """How long the vehicle must report without a break that it is on the ground: `_DOWN_S` to count as having
 been down, `_GROUNDED_S` to count as being on the ground."""
+_FALLEN_S = 10.0
+"""A vehicle that was not heard for a moment in flight must be disarmed for so long to count as having been
+down: its autopilot may have restarted."""
 _STORM, _STORM_S = 5, 2.0
 _ASKABLE = frozenset({FlightMode.EXTERNAL, FlightMode.HOLD, FlightMode.STICKS, FlightMode.MISSION})
 
@@ -72,6 +75,10 @@ class Mandate:
         since."""
         self._grounded_s: float | None = None
         self._seen_down = config.flight.take_in_flight
+        self._flew = self._unheard = False
+        """Whether it was armed and in the air when its landed state was last reported, and whether it was
+        then not heard for a moment and has not been armed since."""
+        self._disarmed_s: float | None = None
         self._requests: list[float] = []
 
     # ------------------------------------------------------------ messages of the vehicle
@@ -87,7 +94,7 @@ class Mandate:
             mode = event.mode
             if not overtaken:
                 self.heartbeat = event
-                if not event.armed:
+                if self._disarmed(event, now_s):
                     self._seen_down = True
                     if self._flight.rearm != "never" or not self.lost:
                         self._free()
@@ -101,6 +108,21 @@ class Mandate:
             self._perhaps_held = bool(self.lost) and (self._perhaps_held or (held and overtaken))
         elif self.engaged and not (self.lost or event.overtaken or event.custom_mode == self._base):
             self._perhaps_entered, self._ours[event.custom_mode] = True, math.inf
+
+    def unheard(self) -> None:
+        """Note that the vehicle was not heard for so long that its autopilot may have restarted."""
+        self._unheard = self._unheard or self._flew
+
+    def _disarmed(self, event: Heartbeat, now_s: float) -> bool:
+        """Whether a vehicle counts as disarmed: not if its autopilot may just have restarted in flight."""
+        if event.armed:
+            self._unheard, self._disarmed_s = False, None
+            return False
+        self._disarmed_s = now_s if self._disarmed_s is None else self._disarmed_s
+        if self._unheard and now_s - self._disarmed_s < _FALLEN_S:
+            return False
+        self._flew = self._unheard = False
+        return True
 
     def _ends(self, custom: int, mode: FlightMode, now_s: float, *, old: bool) -> bool:
         """Whether a mode ends authority even if the vehicle may have left it since: it is the pilot's, or the
@@ -161,11 +183,14 @@ class Mandate:
 
     def hear_landed(self, landed: Landed, now_s: float) -> None:
         """Take in EXTENDED_SYS_STATE."""
+        if self.heartbeat is not None and self.heartbeat.armed:
+            self._flew = landed is not Landed.ON_GROUND
         if landed is not Landed.ON_GROUND:
             self._grounded_s = None
             return
         self._grounded_s = now_s if self._grounded_s is None else self._grounded_s
-        self._seen_down = self._seen_down or now_s - self._grounded_s >= _DOWN_S
+        down = now_s - self._grounded_s >= _DOWN_S and not self._unheard
+        self._seen_down = self._seen_down or down
         if self._grounded(now_s) and not self.lost:
             self._free()
 

@@ -227,6 +227,51 @@ def test_disarmed_in_the_middle_of_a_batch(use, firmware):
     assert one.asks(EXTERNAL)
 
 
+@BOTH
+@USES
+@pytest.mark.parametrize("rearm", ["mode", "disarm"])
+def test_a_restart_in_flight_is_no_landing(use, firmware, rearm):
+    """After a silence, the autopilot reports that it is disarmed and on the ground."""
+    one = lost(use, firmware, rearm)
+    one.now_s += 1.2
+    one.landed = Landed.ON_GROUND
+    one.beat(armed=False)
+    one.run(5.0)
+    assert one.gate.lost is not None
+    one.landed = Landed.IN_AIR
+    one.beat(MISSION if use == "fly" else EXTERNAL, armed=True)
+    one.run(5.0)
+    assert one.gate.lost is not None
+    one.beat(armed=False)
+    one.run(1.0)
+    assert one.gate.lost is None, "it was seen armed, so now it has landed"
+
+
+def test_a_vehicle_that_stays_disarmed_after_a_restart_has_landed():
+    one = lost("fly", ARDUPILOT, "disarm")
+    one.now_s += 1.2
+    one.beat(armed=False)
+    one.run(9.9)
+    assert one.gate.lost is not None
+    one.run(0.2)
+    assert one.gate.lost is None
+
+
+def test_a_vehicle_that_was_flying_at_the_start_has_not_landed_by_a_restart():
+    one = Flying(config("fly", take_in_flight=False))
+    one.landed, one.armed, one.mode = Landed.IN_AIR, True, MISSION
+    one.run(1.0)
+    one.now_s += 1.2
+    one.landed = Landed.ON_GROUND
+    one.beat(armed=False)
+    one.run(5.0)
+    one.landed = Landed.IN_AIR
+    one.beat(armed=True)
+    one.run(1.0)
+    assert not one.asks(EXTERNAL)
+    assert one.refused() == [6]
+
+
 # ---------------------------------------------------------------- 6: a request that is obeyed too late
 
 
