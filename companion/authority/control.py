@@ -250,8 +250,7 @@ class Control:
 
     def _steer(self, now_s: float, cycle: Cycle, commands: list[Command]) -> LawResult:
         """Run one decision of the law and apply its triggers."""
-        if self._guard is not None:
-            commands += self._guard.lead(self._own, now_s)
+        commands += self._plan.lead(self._own, now_s)
         result = cycle.decide(now_s, self.state)
         if self._handback is not None:
             self._handback.note_way(now_s)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from companion.authority.course import Course
+from companion.authority.course import HOME_MOVED_M, Course
 from companion.authority.downloads import RETRY_S, Downloads
 from companion.authority.terms import Terms
 from companion.autopilot.advice import restarting, too_fast
@@ -33,8 +33,6 @@ _LEAST_SPEED_MPS = 1.0
 _REJOIN_S = 60.0
 """A vehicle that is taken again within this time may still be at the height to which traffic pushed it."""
 _HERE_M = 0.5
-_HOME_MOVED_M = 1.0
-"""Change of home's altitude that is no noise: somebody has set home in flight."""
 _STAY_S = 1.0
 
 
@@ -194,7 +192,7 @@ class GuardPlan:
         """Take a home that was set in flight: the autopilot's mission counts heights from it. Returns whether
         there is one."""
         home_m = own.home_alt_msl_m
-        if home_m is None or abs(home_m - self.course.home_alt_msl_m) <= _HOME_MOVED_M:
+        if home_m is None or abs(home_m - self.course.home_alt_msl_m) <= HOME_MOVED_M:
             return False
         self.course.home_alt_msl_m = home_m
         return True

@@ -102,7 +102,8 @@ class Containment:
         law, position = self._course.law, self._own.position
         assert law is not None
         assert position is not None
-        here, height_m = self._own.position_ned_m(now_s), position.height_above_home_m
+        here = self._own.position_ned_m(now_s)
+        height_m = position.height_above_home_m + self._course.home_up_m
         if law is not self._law:
             self._law, self._made_for = law, None
             self._extra_places.clear()
@@ -156,7 +157,7 @@ class Containment:
         # The leg may begin where traffic pushed the aircraft. That must not move the volume.
         least, most = (low, high) if leg is None else (min(max(h, low), high) for h in leg)
         floor = self._course.floor_height_m(limits)
-        ceiling = limits.ceiling_height_m
+        ceiling = self._course.ceiling_height_m(limits)
         top = math.inf if ceiling is None else ceiling
         if wide:
             if limits.floor_height_m is None:
