@@ -13,6 +13,7 @@ from companion.adjustable_parameters import applied, differences
 from companion.atmc.chooser import chooser_of
 from companion.authority.control import Control
 from companion.authority.late_input import LateInput
+from companion.authority.modes import LateRequests
 from companion.authority.plan import Plan, plan_of
 from companion.authority.readiness import Readiness
 from companion.authority.table import HOLDING, State
@@ -97,6 +98,7 @@ class Companion:
         self._readiness = Readiness(config, self.own, self.broadcaster)
         self._late_input = LateInput()
         self._control = Control(config, self.own, self.plan, self._readiness, self._late_input)
+        self._late_requests = LateRequests(self.own, guards=config.flight.use == "guard")
         self.chooser = chooser_of(config, policy)
         self._last_step_s: float | None = None
         self._frame: LocalFrame | None = None
@@ -328,8 +330,11 @@ class Companion:
         """Decide who flies, and with what velocity."""
         step = self._control.step(now_s, gap_s, shown, self._decider, mode_known=self._mode_known)
         commands += step.commands
+        late = self._late_requests.judge(shown, now_s)
         if self.state not in HOLDING:
+            commands += late
             self._decider.let_go()
+        self._late_requests.note(commands, now_s)
         if step.alerts_only and self._decider.due(now_s) and self.own.landed(now_s) is Landed.IN_AIR:
             commands += self._decider.look(now_s)
         if step.velocity_ned_mps is not None:

@@ -129,7 +129,7 @@ class Decider:
 
     def _situation(self, now_s: float, neighbours: Sequence[Neighbour]) -> Situation:
         own, limits, course = self._own, self._config.limits, self._course
-        floor_m, ceiling_m = course.floor_height_m(limits), limits.ceiling_height_m
+        floor_m, ceiling_m = course.floor_height_m(limits), course.ceiling_height_m(limits)
         if self._heights_m is not None:
             floor_m, ceiling_m = self._heights_m
         return Situation(

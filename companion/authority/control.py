@@ -14,7 +14,7 @@ from companion.authority.handback import HandBack
 from companion.authority.late_input import LateInput
 from companion.authority.modes import OurModes
 from companion.authority.plan import Plan
-from companion.authority.readiness import Readiness, was_disarmed
+from companion.authority.readiness import Readiness
 from companion.authority.reasons import Reasons, Refused
 from companion.authority.standstill import Standstill
 from companion.authority.step import Cycle, Step
@@ -250,8 +250,7 @@ class Control:
 
     def _steer(self, now_s: float, cycle: Cycle, commands: list[Command]) -> LawResult:
         """Run one decision of the law and apply its triggers."""
-        if self._guard is not None:
-            commands += self._guard.lead(self._own, now_s)
+        commands += self._plan.lead(self._own, now_s)
         result = cycle.decide(now_s, self.state)
         if self._handback is not None:
             self._handback.note_way(now_s)
@@ -310,7 +309,7 @@ class Control:
         if self._own.mode is gives and now_s < self._obeyed_until_s:
             self._left = False
         if rearm == "disarm":
-            return was_disarmed(shown)
+            return self._readiness.disarmed
         return rearm == "mode" and self._left and self._own.mode is gives
 
     @property

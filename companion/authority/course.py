@@ -33,6 +33,10 @@ class Course:
         self.start_s: float | None = None
         """Monotonic time of the path's time 0; None if the path's clock has not started."""
         self.home_alt_msl_m = 0.0
+        self.home_up_m = 0.0
+        """Height of the vehicle's present home above that home, if home was set in flight; otherwise 0."""
+        self._height_now_m = 0.0
+        """Height of the vehicle above `home_alt_msl_m`, if home was set in flight."""
         self.places: tuple[Vec3, ...] = ()
         """Places of the whole mission or path (local NED, m); empty if they are not known."""
         self.heights_m: tuple[float, ...] = ()
@@ -48,6 +52,7 @@ class Course:
             start_s: monotonic time of the path's time 0; None to start the clock with `engage`.
         """
         self.law, self.home_alt_msl_m, self.start_s = law, home_alt_msl_m, start_s
+        self.home_up_m = 0.0
         self.places, self.heights_m, self._profile = (), (), ((), ())
 
     def lead(
@@ -62,6 +67,13 @@ class Course:
         """
         self.places, self.heights_m = tuple(places), tuple(heights_m)
         self._profile = [time_s for time_s, _ in profile], [height_m for _, height_m in profile]
+
+    def note_home(self, own: Ownship) -> None:
+        """Note whether home was set in flight. The gate counts floor and ceiling from the present home."""
+        if own.position is not None and own.home_alt_msl_m is not None:
+            up_m = own.home_alt_msl_m - self.home_alt_msl_m
+            self.home_up_m = up_m if abs(up_m) > HOME_MOVED_M else 0.0
+            self._height_now_m = own.position.alt_msl_m - self.home_alt_msl_m
 
     def end(self) -> None:
         """End the flight."""
@@ -133,13 +145,30 @@ class Course:
     def floor_height_m(self, limits: LimitsConfig) -> float:
         """Height of the floor above home: the configured one, else the default.
 
+        If home was set in flight, the configured one counts from both homes and the higher one applies. The
+        one above the present home leads no vehicle up: someone else's choice of home moves no vehicle.
+
         Args:
             limits: configured limits.
         """
-        if limits.floor_height_m is not None:
-            return limits.floor_height_m
+        floor_m = limits.floor_height_m
+        if floor_m is not None:
+            present_m = min(floor_m + self.home_up_m, self._height_now_m)
+            return max(floor_m, present_m) if self.home_up_m else floor_m
         ceiling = math.inf if limits.ceiling_height_m is None else limits.ceiling_height_m
         return min(LEAST_HEIGHT_M, self.lowest_height_m, ceiling - LEAST_LAYER_M)
+
+    def ceiling_height_m(self, limits: LimitsConfig) -> float | None:
+        """Height of the ceiling above home; None if there is none. As for the floor, both homes count.
+
+        Args:
+            limits: configured limits.
+        """
+        ceiling_m = limits.ceiling_height_m
+        if ceiling_m is None or not self.home_up_m:
+            return ceiling_m
+        least_m = max(self._height_now_m, self.floor_height_m(limits))
+        return min(ceiling_m, max(ceiling_m + self.home_up_m, least_m))
 
     def boundary_down_m(self, height_m: float | None, own: Ownship, now_s: float) -> float | None:
         """Convert a height above home to a NED down coordinate at the aircraft's position.

@@ -2,7 +2,8 @@
 
 A plan is made in the air, when the vehicle is ready to be taken in all other respects. Home, UTC and the
 start position of a mission are those of that moment. They stay fixed for the flight, even if the autopilot
-corrects them later. Landing ends the plan.
+corrects them later; floor and ceiling then also count from the vehicle's present home, as in the gate.
+Landing ends the plan.
 """
 
 from __future__ import annotations
@@ -178,6 +179,11 @@ class FlownPlan:
         profile = zip(trajectory.times_s, heights_m, strict=True)
         self.course.lead(trajectory.points_ned_m, heights_m, tuple(profile))
         self.terms.accept()
+        return []
+
+    def lead(self, own: Ownship, now_s: float) -> list[Command]:
+        """Take a home that was set in flight. Returns no requests."""
+        self.course.note_home(own)
         return []
 
     def engage(self, now_s: float) -> None:

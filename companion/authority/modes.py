@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from companion.authority.handback import HandBack
-from companion.events import Command, FlightMode, Heartbeat, SetMode
+from companion.autopilot.dialect import DIALECTS
+from companion.events import Command, FlightMode, Heartbeat, Say, SetMode, Severity
 from companion.ownship import Ownship
 
 _STREAM_FIRST_S = 0.5
 """How long setpoints stream before the mode is requested: PX4 enters OFFBOARD only if they already stream."""
+_OBEYS_S = 8.0
+"""How long after a request the vehicle may still enter the mode: the link repeats it for five seconds."""
+_OBEYED_LATE_S = 3.0
+"""How long after the pilot selected his mode the vehicle may still obey a request that was on its way."""
 
 
 class OurModes:
@@ -110,3 +116,77 @@ class OurModes:
             # The vehicle may enter our mode without our seeing it.
             self.left_in = frozenset({mode, FlightMode.EXTERNAL})
         return []
+
+
+class LateRequests:
+    """Notices that the vehicle obeys a request of ours after the pilot has selected another mode.
+
+    The request was on its way as he selected it. The vehicle is then in a mode that nobody wants: the pilot
+    is told, and his mode is requested once if it is one that we can request. If he has selected our mode
+    himself so soon, he has to do it again.
+
+    Args:
+        guards: the vehicle flies its mission and is guarded, so that its mode is one that we request.
+    """
+
+    def __init__(self, own: Ownship, *, guards: bool) -> None:
+        self._own = own
+        self._askable = {FlightMode.HOLD, FlightMode.STICKS} | ({FlightMode.MISSION} if guards else set())
+        self._asked: dict[FlightMode, float] = {}
+        """Requested modes that have not been reported yet, with the times of the requests."""
+        self._from: set[int] = set()
+        """custom_mode of the vehicle at these requests."""
+        self._chosen: Heartbeat | None = None
+        """Latest mode that the pilot or a failsafe has selected since."""
+        self._chosen_s = -math.inf
+        self._told = False
+
+    def note(self, commands: Sequence[Command], now_s: float) -> None:
+        """Note the mode requests among commands."""
+        for command in commands:
+            if isinstance(command, SetMode) and self._own.heartbeat is not None:
+                self._asked[command.mode] = now_s
+                self._from.add(self._own.heartbeat.custom_mode)
+
+    def judge(self, shown: Sequence[Heartbeat], now_s: float) -> list[Command]:
+        """Take in the reported modes, in the order of arrival. Returns messages and requests."""
+        over = self._chosen is not None and now_s - self._chosen_s > _OBEYED_LATE_S
+        if over or not all(heartbeat.armed for heartbeat in shown):
+            self._asked.clear()
+        self._asked = {mode: at_s for mode, at_s in self._asked.items() if now_s - at_s <= _OBEYS_S}
+        if not self._asked:
+            self._from.clear()
+            self._chosen, self._told = None, False
+        commands: list[Command] = []
+        for heartbeat in shown if self._asked else ():
+            commands += self._take(heartbeat, now_s)
+        return commands
+
+    def _take(self, heartbeat: Heartbeat, now_s: float) -> list[Command]:
+        chosen, custom = self._chosen, heartbeat.custom_mode
+        if chosen is not None and custom == chosen.custom_mode:
+            return []
+        if heartbeat.mode not in self._asked:
+            if chosen is not None or not (custom in self._from or self._ends_mission(heartbeat)):
+                self._chosen, self._chosen_s, self._told = heartbeat, now_s, False
+            return []
+        if chosen is None:
+            del self._asked[heartbeat.mode]
+            return []
+        if self._told:
+            return []
+        self._told = True
+        dialect = DIALECTS[heartbeat.firmware]
+        name = dialect.name(chosen.custom_mode)
+        command = dialect.commands.get(chosen.mode)
+        can_ask = command is not None and command.custom_mode == chosen.custom_mode
+        asks = can_ask and chosen.mode in self._askable
+        then = "is requested again" if asks else "must be selected again"
+        text = f"DMUCA: {dialect.name(custom)} entered late, by our request from before {name}: {name} {then}"
+        said = Say(severity=Severity.WARNING, text=text)
+        return [said, SetMode(mode=chosen.mode)] if asks else [said]
+
+    def _ends_mission(self, heartbeat: Heartbeat) -> bool:
+        """Whether this may be the hold at the end of a mission that we requested."""
+        ends = DIALECTS[heartbeat.firmware].mission_ends_in_hold
+        return ends and heartbeat.mode is FlightMode.HOLD and FlightMode.MISSION in self._asked

@@ -40,6 +40,9 @@ class Plan(Protocol):
     def remake(self, own: Ownship) -> bool:
         """Drop a path that is too far away if another one can be made. Returns whether it was dropped."""
 
+    def lead(self, own: Ownship, now_s: float) -> list[Command]:
+        """Keep path and bounds current while we control the vehicle. Returns requests. Needs a law."""
+
     def engage(self, now_s: float) -> None:
         """Note that the vehicle now flies our setpoints."""
 

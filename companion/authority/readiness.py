@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from companion.adjustable_parameters import SWITCHED_OFF
@@ -27,6 +28,9 @@ _HOLD = frozenset({FlightMode.HOLD})
 _LISTEN_S = 3.0
 """How long after its first heartbeat a vehicle is not taken if `vehicle.system_id` is not configured. In
 three heartbeat periods a second autopilot on the link would be heard."""
+_UNSEEN_S, _FALLEN_S = 1.0, 10.0
+"""An autopilot that restarts in flight is silent for longer than `_UNSEEN_S`, and then disarmed for less than
+`_FALLEN_S`: a vehicle with its motors off is on the ground by then."""
 _FLYING_ALREADY = "vehicle was flying when the companion started and must land first (flight.take_in_flight)"
 
 
@@ -49,6 +53,13 @@ class Readiness:
         """Why there is another companion that may command the vehicle; None if there is none."""
         self.lost: str | None = None
         """Why the gate blocks all commands until authority is given back; None if it does not."""
+        self.disarmed = False
+        """The vehicle was disarmed since the last step, and not because its autopilot restarted in flight."""
+        self._flew = False
+        """It was armed and not on the ground when it was last seen."""
+        self._unseen_s: float | None = None
+        """Last time at which a vehicle that flew was not seen; None once it was seen armed again."""
+        self._disarmed_s = math.inf
         self._seen_down = config.flight.take_in_flight
         self._flying_told = config.flight.use == "watch"
         """Whether the pilot knows that the vehicle must land first."""
@@ -93,12 +104,31 @@ class Readiness:
         """
         if self._found_s is None and shown:
             self._found_s = now_s
-        self._seen_down = self._seen_down or self.down(now_s, shown)
+        self._note_disarmed(now_s, shown)
+        down = self.disarmed or (self._unseen_s is None and self.down(now_s, shown))
+        self._seen_down = self._seen_down or down
         flies = self._own.armed and self._own.landed(now_s) is Landed.IN_AIR
         if self._seen_down or self._flying_told or not flies:
             return []
         self._flying_told = True
         return [Say(severity=Severity.WARNING, text=f"DMUCA: cannot take control: {_FLYING_ALREADY}")]
+
+    def _note_disarmed(self, now_s: float, shown: Sequence[Heartbeat]) -> None:
+        """Update `disarmed`. After a silence in flight, it may be a restarted autopilot that is disarmed."""
+        own, landed = self._own, self._own.landed(now_s)
+        seen = own.age_s(now_s) <= _UNSEEN_S
+        if not seen and self._flew:
+            self._unseen_s = now_s
+        elif seen and own.armed and self._unseen_s is not None and own.heartbeat_s > self._unseen_s:
+            self._unseen_s = None
+        disarmed = was_disarmed(shown)
+        self._disarmed_s = min(self._disarmed_s, now_s) if disarmed else math.inf
+        lasted = own.heartbeat_s - self._disarmed_s >= _FALLEN_S
+        self.disarmed = disarmed and (self._unseen_s is None or lasted)
+        if self.disarmed:
+            self._flew, self._unseen_s = False, None
+        elif own.armed and landed is not Landed.UNDEFINED:
+            self._flew = landed is not Landed.ON_GROUND
 
     def down(self, now_s: float, shown: Sequence[Heartbeat]) -> bool:
         """Whether the vehicle is on the ground or disarmed, if only for a moment.

@@ -406,7 +406,7 @@ class AutopilotLink:
 
     @property
     def asked_mode(self) -> FlightMode | None:
-        """The mode that the vehicle is being asked for; None if no request runs."""
+        """Mode that the vehicle is asked for, or may still enter by a request given up; None if none."""
         return self._mode_and_speed.asked_mode
 
     def cancel_mode(self) -> None:

@@ -63,6 +63,8 @@ STALL_S = 0.25
 """A longer pause in reading the input is a stall: messages read after it may be old."""
 _SILENCE_S = 0.5
 """A mode may have been missed in a longer pause between the vehicle's messages."""
+_RESTART_S = 1.0
+"""An autopilot that restarts is silent for longer than this."""
 _FRESH_S = 0.25
 _ANSWER_S = 0.1
 """How long a TIMESYNC answer counts as proof that the vehicle reads its input."""
@@ -195,6 +197,8 @@ class Gate:
 
     def _note_heard(self, now_s: float) -> None:
         self._fresh = self._fresh and now_s - self._heard_s <= _SILENCE_S
+        if now_s - self._heard_s > _RESTART_S:
+            self._mandate.unheard()
         self._heard_s = now_s
 
     def _is_news(self, now_s: float) -> bool:
@@ -325,7 +329,8 @@ class Gate:
             return False
         if command not in (CMD_DO_SET_MODE, CMD_DO_CHANGE_SPEED):
             raise Broken(Rule.KIND, f"command {command} is not allowed")
-        self._commands(system, component, now_s)
+        asked = self._mandate.custom_of(*params[1:3]) if command == CMD_DO_SET_MODE else None
+        self._commands(system, component, now_s, None if asked is None else asked[0])
         if command == CMD_DO_CHANGE_SPEED:
             self._mandate.check_speed()
             if params[0] != _GROUND_SPEED or params[2] != _SAME_THROTTLE or not 0.0 < params[1] <= 100.0:
@@ -334,7 +339,6 @@ class Gate:
                 )
             self._check_moment(now_s)
             return True
-        asked = self._mandate.custom_of(params[1], params[2])
         if asked is None or params[0] != 1.0:
             raise Broken(Rule.MODE, f"mode {params[:3]} must not be requested")
         custom, mode = asked
@@ -343,14 +347,18 @@ class Gate:
         self._mandate.request_left(custom, now_s)
         return True
 
-    def _commands(self, system: int, component: int, now_s: float) -> None:
-        """Check the rules target, use, current and authority for a frame that commands the vehicle."""
+    def _commands(self, system: int, component: int, now_s: float, custom: int | None = None) -> None:
+        """Check the rules target, use, current and authority for a frame that commands the vehicle.
+
+        Args:
+            custom: custom_mode that the frame requests; None for any other command.
+        """
         heartbeat = self._mandate.heartbeat
         if heartbeat is None or (system, component) != (heartbeat.system_id, _AUTOPILOT):
             raise Broken(Rule.TARGET, f"system {system}, component {component} is not the vehicle")
         if not self.current(now_s):
             raise Broken(Rule.CURRENT, "not all input was read, or no mode was reported since")
-        self._mandate.check(now_s)
+        self._mandate.check(now_s, custom)
 
     def _check_moment(self, now_s: float, *, holds: bool = False) -> None:
         """Check that no fault keeps the gate shut, except for a hold, and that an answer just arrived."""

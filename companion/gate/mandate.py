@@ -15,9 +15,14 @@ from companion.gate.rules import Broken, Rule
 MODE_OLD_S = 3.0
 _ASKED_S = 10.0
 """How long after a request the requested mode may still be entered."""
+_LATE_S = 3.0
+"""How long after a request the vehicle may obey it although the pilot has selected his mode meanwhile."""
 _DOWN_S, _GROUNDED_S = 1.5, 12.0
 """How long the vehicle must report without a break that it is on the ground: `_DOWN_S` to count as having
 been down, `_GROUNDED_S` to count as being on the ground."""
+_FALLEN_S = 10.0
+"""A vehicle that was not heard for a moment in flight must be disarmed for so long to count as having been
+down: its autopilot may have restarted."""
 _STORM, _STORM_S = 5, 2.0
 _ASKABLE = frozenset({FlightMode.EXTERNAL, FlightMode.HOLD, FlightMode.STICKS, FlightMode.MISSION})
 
@@ -54,6 +59,14 @@ class Mandate:
         pilot's."""
         self._asked: int | None = None
         """Latest requested custom_mode."""
+        self._waits_s: dict[int, float] = {}
+        """For each requested custom_mode that has not been reported while authority lasted: time of the
+        latest request."""
+        self._chosen: int | None = None
+        """custom_mode that the pilot selected last, since authority was lost."""
+        self._obeyed_late = False
+        """The vehicle has obeyed a request of ours after the pilot selected his mode, and reports no other
+        mode since."""
         self._commanded_s = -math.inf
         """Time at which a command to the vehicle was last sent."""
         self._left = False
@@ -62,6 +75,10 @@ class Mandate:
         since."""
         self._grounded_s: float | None = None
         self._seen_down = config.flight.take_in_flight
+        self._flew = self._unheard = False
+        """Whether it was armed and in the air when its landed state was last reported, and whether it was
+        then not heard for a moment and has not been armed since."""
+        self._disarmed_s: float | None = None
         self._requests: list[float] = []
 
     # ------------------------------------------------------------ messages of the vehicle
@@ -77,7 +94,7 @@ class Mandate:
             mode = event.mode
             if not overtaken:
                 self.heartbeat = event
-                if not event.armed:
+                if self._disarmed(event, now_s):
                     self._seen_down = True
                     if self._flight.rearm != "never" or not self.lost:
                         self._free()
@@ -91,6 +108,21 @@ class Mandate:
             self._perhaps_held = bool(self.lost) and (self._perhaps_held or (held and overtaken))
         elif self.engaged and not (self.lost or event.overtaken or event.custom_mode == self._base):
             self._perhaps_entered, self._ours[event.custom_mode] = True, math.inf
+
+    def unheard(self) -> None:
+        """Note that the vehicle was not heard for so long that its autopilot may have restarted."""
+        self._unheard = self._unheard or self._flew
+
+    def _disarmed(self, event: Heartbeat, now_s: float) -> bool:
+        """Whether a vehicle counts as disarmed: not if its autopilot may just have restarted in flight."""
+        if event.armed:
+            self._unheard, self._disarmed_s = False, None
+            return False
+        self._disarmed_s = now_s if self._disarmed_s is None else self._disarmed_s
+        if self._unheard and now_s - self._disarmed_s < _FALLEN_S:
+            return False
+        self._flew = self._unheard = False
+        return True
 
     def _ends(self, custom: int, mode: FlightMode, now_s: float, *, old: bool) -> bool:
         """Whether a mode ends authority even if the vehicle may have left it since: it is the pilot's, or the
@@ -112,12 +144,21 @@ class Mandate:
 
     def hear_mode(self, custom: int, mode: FlightMode, now_s: float) -> None:
         """Take in one reported mode. Call this in the order in which the vehicle reported them."""
-        before, self._mode, self._custom, self._mode_s = self._mode, mode, custom, now_s
+        before, before_custom = self._mode, self._custom
+        self._mode, self._custom, self._mode_s = mode, custom, now_s
+        if not self.lost:
+            self._waits_s.pop(custom, None)
         left_ours, self._perhaps_entered = self._perhaps_entered, False
         given = mode is (FlightMode.MISSION if self._guards else FlightMode.EXTERNAL)
         if self.lost:
             self._held_instead = self._held_instead and mode is FlightMode.HOLD
             self._perhaps_held = self._perhaps_held and (custom in self._ours or custom == self._base)
+            late = custom != self._chosen and now_s - self._waits_s.get(custom, -math.inf) <= _LATE_S
+            self._obeyed_late = late or (self._obeyed_late and custom == before_custom)
+            if self._obeyed_late:
+                self._left = self._left and not given
+                return
+            self._chosen = custom
             if given and self._left and self._flight.rearm == "mode" and not self._perhaps_held:
                 self._free()
             self._left = self._left or not (given or self._perhaps_held)
@@ -136,17 +177,20 @@ class Mandate:
         else:
             self._held_instead = mode is FlightMode.HOLD and self._asked_mission(now_s)
             self._left = not given or not (before is FlightMode.EXTERNAL or left_ours)
-            self.lost = f"the pilot selected {self.name(custom)}"
+            self.lost, self._chosen = f"the pilot selected {self.name(custom)}", custom
             if given and self._left and self._flight.rearm == "mode":
                 self._free()
 
     def hear_landed(self, landed: Landed, now_s: float) -> None:
         """Take in EXTENDED_SYS_STATE."""
+        if self.heartbeat is not None and self.heartbeat.armed:
+            self._flew = landed is not Landed.ON_GROUND
         if landed is not Landed.ON_GROUND:
             self._grounded_s = None
             return
         self._grounded_s = now_s if self._grounded_s is None else self._grounded_s
-        self._seen_down = self._seen_down or now_s - self._grounded_s >= _DOWN_S
+        down = now_s - self._grounded_s >= _DOWN_S and not self._unheard
+        self._seen_down = self._seen_down or down
         if self._grounded(now_s) and not self.lost:
             self._free()
 
@@ -157,8 +201,12 @@ class Mandate:
 
     # ------------------------------------------------------------ checks of commands
 
-    def check(self, now_s: float) -> None:
-        """Check what must hold for every command to the vehicle. Raises Broken otherwise."""
+    def check(self, now_s: float, custom: int | None = None) -> None:
+        """Check what must hold for every command to the vehicle. Raises Broken otherwise.
+
+        Args:
+            custom: custom_mode that the command requests; None for any other command.
+        """
         heartbeat = self.heartbeat
         if self._flight.use == "watch":
             raise Broken(Rule.USE, 'flight.use is "watch"')
@@ -166,7 +214,7 @@ class Mandate:
             raise Broken(Rule.CURRENT, "the vehicle's mode is unknown")
         if not heartbeat.armed or self._grounded(now_s):
             raise Broken(Rule.USE, "the vehicle is disarmed or on the ground")
-        if self.lost:
+        if self.lost and not self._restores(custom):
             raise Broken(Rule.AUTHORITY, self.lost)
         if not self._seen_down:
             raise Broken(
@@ -215,6 +263,7 @@ class Mandate:
         if not self.engaged or self._custom not in self._ours:
             self.engaged, self._base = True, self._custom
         self._requests.append(now_s)
+        self._waits_s[custom] = now_s
         self._ours[custom] = max(self._ours.get(custom, 0.0), now_s + _ASKED_S)
 
     # ------------------------------------------------------------ names and kinds of modes
@@ -226,7 +275,8 @@ class Mandate:
 
     def custom_of(self, param2: float, param3: float) -> tuple[int, FlightMode] | None:
         """Mode that the parameters of DO_SET_MODE request; None if they match no mode that we may request."""
-        assert self.heartbeat is not None
+        if self.heartbeat is None:
+            return None
         for mode, command in DIALECTS[self.heartbeat.firmware].commands.items():
             if (command.param2, command.param3) == (param2, param3):
                 return command.custom_mode, mode
@@ -241,6 +291,13 @@ class Mandate:
     def _kind(self, custom: int) -> FlightMode:
         assert self.heartbeat is not None
         return DIALECTS[self.heartbeat.firmware].modes.get(custom, FlightMode.OTHER)
+
+    def _restores(self, custom: int | None) -> bool:
+        """Whether a request only restores the mode that the pilot has selected, because the vehicle obeyed an
+        earlier request of ours after it."""
+        if custom is None or custom != self._chosen or self._perhaps_held:
+            return False
+        return self._obeyed_late and self._kind(custom) is not FlightMode.EXTERNAL
 
     @property
     def _is_ours(self) -> bool:
@@ -265,5 +322,7 @@ class Mandate:
     def _free(self) -> None:
         self.lost, self.engaged, self._left, self._base = None, False, False, None
         self._held_instead = self._perhaps_entered = self._perhaps_held = False
-        self._asked = None
+        self._asked = self._chosen = None
+        self._obeyed_late = False
         self._ours.clear()
+        self._waits_s.clear()

@@ -155,7 +155,7 @@ class Containment:
         # The leg may begin where traffic pushed the aircraft. That must not move the volume.
         least, most = (low, high) if leg is None else (min(max(h, low), high) for h in leg)
         floor = self._course.floor_height_m(limits)
-        ceiling = limits.ceiling_height_m
+        ceiling = self._course.ceiling_height_m(limits)
         top = math.inf if ceiling is None else ceiling
         if wide:
             if limits.floor_height_m is None:

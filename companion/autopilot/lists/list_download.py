@@ -10,8 +10,10 @@ fence download is therefore given up at the first answer in MAVLink 1.
 
 A vehicle answers each request with the item that it holds then, so a mission that is replaced meanwhile
 would arrive as a mixture. MISSION_CURRENT shows that: its number of items or, on PX4, its id changes. A
-mission with an id is complete only when a later MISSION_CURRENT has the same id. ArduPilot gives no id, so on
-ArduPilot another mission with the same number of items is not noticed.
+mission with an id is complete only when a later MISSION_CURRENT has the same id. ArduPilot gives no id, but
+refuses every request (MISSION_ACK, denied) while it receives a mission, which ends the download. So on
+ArduPilot only a mission with the same number of items that is received whole between two of our requests is
+not noticed. Its acknowledgement and its text go to the link of the upload alone.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ class ModeAndSpeed:
         self._told = ModeTold()
         self._mode: ModeRequest | None = None
         self._cancelled: ModeRequest | None = None
-        """The latest request that was given up."""
+        """The latest request that was given up, as long as the vehicle may still obey it."""
         self._mode_speed_mps: float | None = None
         self._speed: _SpeedRequest | None = None
         self._mode_wanted_s = -math.inf
@@ -55,8 +55,10 @@ class ModeAndSpeed:
 
     @property
     def asked_mode(self) -> FlightMode | None:
-        """The mode that is being asked for; None if no request runs."""
-        return None if self._mode is None else self._mode.mode
+        """The mode that is being asked for, or may still be entered by a request that was given up; None if
+        there is none."""
+        request = self._mode or self._cancelled
+        return None if request is None else request.mode
 
     def ask_mode(self, command: SetMode, now_s: float) -> None:
         """Ask for a mode. This replaces an earlier request.
@@ -73,9 +75,9 @@ class ModeAndSpeed:
             dialect = DIALECTS[vehicle.firmware]
             self._speed = None
             before = self._mode
-            if before is None and self._cancelled is not None and self._cancelled.may_be_entered(now_s):
+            if before is None:
                 # The vehicle entering the mode of the cancelled request is not the pilot's choice either.
-                before = self._cancelled
+                before = self._obeyable(now_s)
             self._cancelled = None
             self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._told, now_s, before)
             self._mode_speed_mps = command.speed_mps
@@ -88,6 +90,11 @@ class ModeAndSpeed:
     def cancel(self) -> None:
         """Give up the mode request and the speed request."""
         self._cancelled, self._mode, self._speed = self._mode or self._cancelled, None, None
+
+    def _obeyable(self, now_s: float) -> ModeRequest | None:
+        """The request that was given up, if the vehicle may still obey it."""
+        given_up = self._cancelled
+        return given_up if given_up is not None and given_up.may_be_entered(now_s) else None
 
     def forget(self, now_s: float) -> None:
         """The input was a backlog, so the mode that it reported may be old. Ask the vehicle to report its
@@ -129,6 +136,7 @@ class ModeAndSpeed:
 
     def advance(self, now_s: float) -> None:
         """Send what is due."""
+        self._cancelled = self._obeyable(now_s)
         self._move_mode(now_s)
         self._move_speed(now_s)
 

@@ -10,6 +10,7 @@ import pytest
 from companion.authority.table import HOLDING, State
 from companion.autopilot.dialect import DIALECTS
 from companion.core import Companion
+from companion.decider import Decider
 from companion.events import (
     AuthorityChanged,
     Broadcast,
@@ -116,23 +117,6 @@ def test_what_was_decided_before_the_pilot_flew_is_not_flown_after(make_bench, s
     bench.mode, bench.east_m = FlightMode.EXTERNAL, 5.0
     bench.until(lambda: bench.core.state in HOLDING)
     assert bench.setpoints()[0].velocity_ned_mps[1] < -0.01
-
-
-def test_a_request_that_the_vehicle_obeys_after_the_pilots_choice_gives_no_authority(make_bench):
-    """It was on its way as he selected his mode. Only what he selects after that counts."""
-    bench = make_bench(rearm="mode")
-    bench.firmware, bench.mode, bench.obeys = Firmware.ARDUPILOT, FlightMode.MISSION, False
-    bench.until(lambda: any(isinstance(c, SetMode) for c in bench.commands))
-    bench.mode = FlightMode.STICKS
-    bench.step(2)
-    assert bench.core.state is State.YIELDED
-    bench.mode = FlightMode.EXTERNAL
-    bench.step(200)
-    assert bench.core.state is State.YIELDED
-    bench.mode = FlightMode.STICKS
-    bench.step(2)
-    bench.mode = FlightMode.EXTERNAL
-    bench.until(lambda: bench.core.in_control)
 
 
 def test_rearm_never_survives_a_landing(make_bench):
@@ -331,6 +315,25 @@ def test_home_that_moves_in_flight_moves_neither_path_nor_ceiling(make_bench):
     for _ in range(100):
         bench.step()
         assert abs(bench.setpoints()[-1].velocity_ned_mps[2]) < 0.05
+
+
+@pytest.mark.parametrize("height_m", [15.0, 35.0, 80.0, 150.0])
+def test_the_bounds_are_within_the_gates_wherever_home_is_set_in_flight(make_bench, monkeypatch, height_m):
+    """The gate counts floor and ceiling from the vehicle's present home."""
+    bench = make_bench()
+    limits = msgspec.structs.replace(bench.core.config.limits, ceiling_height_m=60.0, floor_height_m=20.0)
+    bench = type(bench)(Companion(msgspec.structs.replace(bench.core.config, limits=limits)))
+    bench.until(lambda: bench.core.in_control)
+    situations, made = [], Decider._situation
+    monkeypatch.setattr(Decider, "_situation", lambda *args: situations.append(made(*args)) or situations[-1])
+    bench.height_m = height_m  # the vehicle stays where it is, 50 m above its first home
+    bench.step(40)
+    seen = situations[-1]
+    room_below_m = seen.floor_down_m - seen.position_ned_m[2]
+    room_above_m = seen.position_ned_m[2] - seen.ceiling_down_m
+    assert room_below_m == pytest.approx(min(30.0, max(height_m - 20.0, 0.0)))
+    assert room_above_m == pytest.approx(min(10.0, max(60.0 - height_m, 0.0)))
+    assert abs(bench.setpoints()[-1].velocity_ned_mps[2]) < 0.05
 
 
 def test_own_state_at_the_edges_of_the_messages_never_raises(make_bench):

@@ -225,3 +225,119 @@ def test_disarmed_in_the_middle_of_a_batch(use, firmware):
     one.mode = MISSION
     one.run()
     assert one.asks(EXTERNAL)
+
+
+@BOTH
+@USES
+@pytest.mark.parametrize("rearm", ["mode", "disarm"])
+def test_a_restart_in_flight_is_no_landing(use, firmware, rearm):
+    """After a silence, the autopilot reports that it is disarmed and on the ground."""
+    one = lost(use, firmware, rearm)
+    one.now_s += 1.2
+    one.landed = Landed.ON_GROUND
+    one.beat(armed=False)
+    one.run(5.0)
+    assert one.gate.lost is not None
+    one.landed = Landed.IN_AIR
+    one.beat(MISSION if use == "fly" else EXTERNAL, armed=True)
+    one.run(5.0)
+    assert one.gate.lost is not None
+    one.beat(armed=False)
+    one.run(1.0)
+    assert one.gate.lost is None, "it was seen armed, so now it has landed"
+
+
+def test_a_vehicle_that_stays_disarmed_after_a_restart_has_landed():
+    one = lost("fly", ARDUPILOT, "disarm")
+    one.now_s += 1.2
+    one.beat(armed=False)
+    one.run(9.9)
+    assert one.gate.lost is not None
+    one.run(0.2)
+    assert one.gate.lost is None
+
+
+def test_a_vehicle_that_was_flying_at_the_start_has_not_landed_by_a_restart():
+    one = Flying(config("fly", take_in_flight=False))
+    one.landed, one.armed, one.mode = Landed.IN_AIR, True, MISSION
+    one.run(1.0)
+    one.now_s += 1.2
+    one.landed = Landed.ON_GROUND
+    one.beat(armed=False)
+    one.run(5.0)
+    one.landed = Landed.IN_AIR
+    one.beat(armed=True)
+    one.run(1.0)
+    assert not one.asks(EXTERNAL)
+    assert one.refused() == [6]
+
+
+# ---------------------------------------------------------------- 6: a request that is obeyed too late
+
+
+def overruled(use, firmware, rearm, mode=STICKS):
+    """The vehicle has obeyed the request for our mode after the pilot had selected his."""
+    one = Flying(config(use, rearm=rearm), firmware).airborne(MISSION)
+    assert one.asks(EXTERNAL)
+    one.beat(mode)
+    one.run(0.3)
+    one.beat(EXTERNAL)
+    one.run()
+    return one
+
+
+@BOTH
+@USES
+@REARM
+def test_a_request_that_is_obeyed_after_the_pilots_choice_gives_nothing_back(use, firmware, rearm):
+    one = overruled(use, firmware, rearm)
+    one.run(5.0)
+    assert not one.flies()
+    assert not one.asks(EXTERNAL)
+    assert one.gate.lost is not None
+    one.beat(RTL)
+    one.beat(MISSION if use == "guard" else EXTERNAL)
+    assert (one.gate.lost is None) is (rearm == "mode")
+
+
+@BOTH
+@REARM
+def test_a_handback_that_is_obeyed_after_the_pilots_choice_gives_nothing_back(firmware, rearm):
+    one = flying("guard", firmware, rearm=rearm)
+    assert one.asks(MISSION)
+    one.beat(STICKS)
+    one.run(0.3)
+    one.beat(MISSION)
+    one.run(5.0)
+    assert one.gate.lost is not None
+    assert one.asks(STICKS)
+
+
+@BOTH
+@USES
+@REARM
+@pytest.mark.parametrize("mode", [STICKS, HOLD])
+def test_then_only_the_pilots_own_mode_may_be_requested(use, firmware, rearm, mode):
+    one = overruled(use, firmware, rearm, mode)
+    for other in {EXTERNAL, MISSION, HOLD, STICKS} - {mode}:
+        assert not one.asks(other)
+    one.run(3.0)
+    assert one.asks(mode)
+    one.beat(mode)
+    one.run()
+    assert not one.asks(mode)
+    assert not one.flies()
+    one.beat(EXTERNAL)
+    one.run()
+    assert one.asks(EXTERNAL) is (use == "fly" and rearm == "mode"), "now it is his own choice"
+
+
+@BOTH
+@USES
+def test_a_mode_that_was_entered_before_the_pilots_choice_is_his_when_he_selects_it(use, firmware):
+    one = flying(use, firmware)
+    one.beat(STICKS)
+    one.beat(EXTERNAL)
+    one.run()
+    assert not one.asks(STICKS)
+    assert one.gate.lost is not None

@@ -356,7 +356,7 @@ def test_after_a_loss_by_an_old_message_our_own_mode_does_not_give_authority():
     one.beat(MISSION)
     assert one.gate.lost
     one.mode = EXTERNAL  # our request is obeyed
-    one.run(3.0)
+    one.run(3.1)
     assert one.gate.lost
     one.beat(HOLD)
     one.beat(EXTERNAL)

@@ -206,6 +206,17 @@ def test_a_mission_that_is_replaced_meanwhile_is_no_mixture_of_both(px4: Scripte
     assert [i.alt_m for i in downloaded.items] == [80.0, 90.0]
 
 
+def test_an_ardupilot_that_receives_a_mission_ends_the_download(ardupilot: Scripted) -> None:
+    """It names no mission, but serves none while one is uploaded. The items so far are dropped."""
+    start(ardupilot)
+    ardupilot.says(count(3))
+    ardupilot.says(item(1, z=30.0))
+    (refused,) = ardupilot.says(mavlink.MAVLink_mission_ack_message(1, 191, 14, 0))
+    assert isinstance(refused, MissionRefused)
+    assert ardupilot.says(item(2, z=90.0)) == []
+    assert wait(ardupilot, 20) == []
+
+
 def test_a_mission_that_is_replaced_by_its_last_item_is_fetched_again(px4: Scripted) -> None:
     """The id of the new mission is reported after the last item has arrived."""
     current(px4, 2, 7)

@@ -341,3 +341,24 @@ def test_a_handback_that_the_vehicle_obeys_after_the_pilots_choice_gives_no_auth
     bench.step(2)
     bench.mode = FlightMode.MISSION
     bench.until(lambda: bench.core.state is State.WATCHING)
+
+
+@pytest.mark.parametrize("mode", [FlightMode.STICKS, FlightMode.HOLD])
+def test_the_pilots_mode_that_a_late_handback_ended_is_restored(guarded, mode):
+    bench = guarded()
+    customs = {FlightMode.MISSION: 3, FlightMode.EXTERNAL: 4, FlightMode.STICKS: 5, FlightMode.HOLD: 17}
+
+    def shows(shown):
+        bench.mode, bench.custom_mode = shown, customs[shown]
+
+    bench.firmware = Firmware.ARDUPILOT
+    shows(FlightMode.MISSION)
+    taken(bench)
+    shows(FlightMode.EXTERNAL)
+    bench.obeys = False
+    over(bench)
+    shows(mode)
+    bench.step(2)
+    shows(FlightMode.MISSION)
+    assert [c.mode for c in bench.step(5) if isinstance(c, SetMode)] == [mode]
+    assert bench.core.state is State.YIELDED

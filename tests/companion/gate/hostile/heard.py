@@ -92,6 +92,12 @@ class Heard:
         self.entered: set[int] = set()
         self.newest: int | None = None
         """The mode that was requested last."""
+        self.open: dict[int, float] = {}
+        """When each mode was requested that was not reported while authority lasted."""
+        self.chosen: int | None = None
+        """The mode that the pilot selected last, since authority was lost."""
+        self.overruled = False
+        """The vehicle has obeyed a request after the pilot selected that mode."""
         self.commanded_s = -math.inf
 
     def heartbeat(self, system: int, custom: int, armed: bool, now_s: float) -> None:
@@ -136,8 +142,16 @@ class Heard:
         kind = self.kinds.get(custom, "other")
         guard = self.terms.use == "guard"
         gives = kind == ("mission" if guard else "external")
+        if not self.gone:
+            self.open.pop(custom, None)
         if self.gone:
             self.ended_by_hold &= kind == "hold"
+            late = custom != self.chosen and now_s - self.open.get(custom, -math.inf) <= 3.0
+            self.overruled = late or (self.overruled and custom == before)
+            if self.overruled:
+                self.away &= not gives
+                return
+            self.chosen = custom
             if gives and self.away and self.terms.rearm == "mode":
                 self._let_go()
             self.away |= not gives
@@ -158,7 +172,7 @@ class Heard:
             if kind == "mission":
                 self._let_go()
             return
-        self.gone = True
+        self.gone, self.chosen = True, custom
         mission = any(self.kinds[c] == "mission" and now_s <= t for c, t in self.asked.items())
         self.ended_by_hold = kind == "hold" and mission
         self.away = not gives or self.kinds.get(before) != "external"

@@ -92,7 +92,7 @@ class Oracle(Heard):
             return self._speed(fields, now_s)
         return self._broken("kind", f"command {fields[7]}")
 
-    def _commanded(self, target: tuple[int, int], now_s: float) -> None:
+    def _commanded(self, target: tuple[int, int], now_s: float, custom: int | None = None) -> None:
         terms = self.terms
         if not self.heard or target != (self.system, 1):
             self._broken("target", f"{target}")
@@ -109,7 +109,8 @@ class Oracle(Heard):
         on_ground = self.grounded_s is not None and now_s - self.grounded_s >= 12.0
         if terms.use == "watch" or not self.armed or on_ground:
             self._broken("use", f"{terms.use}, armed {self.armed}, on ground {on_ground}")
-        if self.gone:
+        restores = self.overruled and custom == self.chosen and self.kinds.get(custom) != "external"  # type: ignore[arg-type]
+        if self.gone and not restores:
             self._broken("authority", f"mode {self.custom}")
         if not self.down:
             self._broken("authority", "was flying")
@@ -126,8 +127,8 @@ class Oracle(Heard):
 
     def _request(self, fields: tuple[float, ...], now_s: float) -> None:
         self.requests += 1
-        self._commanded((int(fields[8]), int(fields[9])), now_s)
         custom = ASKED[self.terms.firmware].get((fields[1], fields[2]))  # type: ignore[call-overload]
+        self._commanded((int(fields[8]), int(fields[9])), now_s, custom)
         if custom is None or fields[0] != 1.0:
             return self._broken("mode", f"{fields}")
         kind = self.kinds[custom]
@@ -145,6 +146,7 @@ class Oracle(Heard):
             self._broken("age", "request after a fault")
         self._take()
         self.asked[custom] = now_s + 10.0
+        self.open[custom] = now_s
         self.newest, self.commanded_s = custom, now_s
         return None
 
