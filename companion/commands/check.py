@@ -48,7 +48,7 @@ from companion.ownship import Ownship
 from companion.runtime import clock
 from companion.runtime.links.kept_link import KeptLink
 from companion.runtime.links.no_vehicle import no_vehicle
-from companion.runtime.record.disk import finished_runs, free_mb
+from companion.runtime.record.disk import finished_runs, free_mb, not_mounted
 from companion.runtime.signing_key import KeptSigning
 from companion.runtime.stored_parameters import read_settings
 from companion.runtime.warm import warm_up, was_compiled
@@ -169,6 +169,10 @@ def _kernels(_config: Config, found: Preflight) -> None:
 def _disk(config: Config, found: Preflight) -> None:
     record = config.record
     folder = Path(record.folder).absolute()
+    absent = not_mounted(folder)
+    if absent is not None:
+        found.red("disk", f"{folder}: {absent}", "mount the disk, make the folder, or set record.folder")
+        return
     there = next(parent for parent in (folder, *folder.parents) if parent.exists())
     if not (there.is_dir() and os.access(there, os.W_OK)):
         found.red(

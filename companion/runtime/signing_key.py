@@ -13,7 +13,7 @@ from companion.autopilot.signing import KEY_BYTES, LATEST, TICKS_PER_S, Signing,
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.runtime import clock
-from companion.runtime.record.disk import replace_file
+from companion.runtime.record.disk import not_mounted, replace_file
 
 TIMESTAMP_FILE = "signing-timestamp"
 """Name of the file in record.folder that holds the last timestamp used, in decimal digits."""
@@ -144,7 +144,7 @@ class KeptSigning:
 
     def _write(self, signing: Signing) -> None:
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._path.parent.mkdir(exist_ok=True)
             replace_file(self._path, f"{max(signing.timestamp, self._newest_by_others())}\n".encode())
             self.error = None
         except OSError as error:
@@ -155,6 +155,8 @@ class KeptSigning:
         try:
             last = self._read()
         except FileNotFoundError:
+            absent = not_mounted(self._path.parent)
+            self.unread = absent and f"{self._path}: {absent}"
             return 0
         except OSError as error:
             self.unread = f"{self._path}: cannot be read: {error.strerror}"

@@ -257,6 +257,17 @@ def test_a_folder_that_cannot_be_written(
     assert found["disk"][0][:2] == ("red", f"{tmp_path}/file/runs: cannot be written")
 
 
+def test_a_folder_whose_disk_is_not_mounted(
+    listed: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check_module, "_vehicle", lambda *_: None)
+    found = listed(1, record=RecordConfig(folder=str(tmp_path / "disk" / "runs")))
+    for what in ("disk", "settings"):
+        light, text, _ = found[what][0]
+        assert light == "red"
+        assert f"there is no folder {tmp_path}/disk; mount its disk" in text
+
+
 @pytest.mark.parametrize(
     ("transports", "policy", "warned"),
     [(("wifi",), None, True), (("ble4", "wifi"), None, False), (("wifi",), "fixed", False)],
