@@ -209,6 +209,8 @@ def _vehicle(config: Config, found: Preflight) -> None:
     for trouble in (kept.unread, kept.error):
         if trouble is not None:
             found.red("signing", trouble, "repair the disk, or set record.folder")
+    if kept.wrong_clock is not None:
+        found.red("signing", kept.wrong_clock, "set the clock")
     try:
         link = KeptLink(
             config.vehicle.link,

@@ -435,9 +435,9 @@ class Flight:
     def _look_after(self, now_s: float) -> None:
         """Report troubles that do not end the flight. In a dry run the pilot receives no reports."""
         troubles = self._troubles
-        unread = self._signing.unread and f"{self._signing.unread}; signing starts at this computer's time"
         kept = {
-            Trouble.SIGNING_UNREAD: ("signing", unread),
+            Trouble.SIGNING_UNREAD: ("last signing time not known", self._signing.unread),
+            Trouble.SIGNING_CLOCK: ("signing", self._signing.wrong_clock),
             Trouble.NOT_RECORDED: ("not recording", self._run.error),
             Trouble.SLOW_DISK: ("recording", None if self._run.error else self._run.slow(now_s)),
             Trouble.SETTINGS_NOT_KEPT: ("settings not saved", self._kept_settings.error),
