@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion import plugins
-from companion.address_forms import LINK_FORMS, check_form
+from companion.address_forms import LINK_FORMS, check_form, used_by
 from companion.config.identity_checks import check_identity
 from companion.config.sections import Config, policy_plugin
 from companion.errors import ConfigError
@@ -67,6 +67,21 @@ def check(config: Config, name: str) -> None:
     check_form(config.vehicle.link, LINK_FORMS, f"{name}: vehicle.link")
     for number, entry in enumerate(config.radio):
         entry.check(f"{name}: radio[{number}]")
+    _check_shared(config, name)
+
+
+def _check_shared(config: Config, name: str) -> None:
+    """Check that the vehicle's link and every radio have a device or address of their own."""
+    users = {used_by(config.vehicle.link): "vehicle.link"}
+    for number, entry in enumerate(config.radio):
+        own = entry.uses()
+        for key, used in own.items():
+            if used in users:
+                raise ConfigError(
+                    f"{name}: radio[{number}].{key}: {getattr(entry, key)!r}: {users[used]} uses it, too; "
+                    "each needs its own"
+                )
+        users |= {used: f"radio[{number}].{key}" for key, used in own.items()}
 
 
 def _check_flight(config: Config, name: str) -> None:

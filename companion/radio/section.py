@@ -31,6 +31,10 @@ class RadioSection(
             ConfigError: names the key and what is allowed.
         """
 
+    def uses(self) -> dict[str, str]:
+        """Devices and addresses that no other section may use, by key, in a form that compares equal."""
+        return {}
+
     def listening(self) -> Self | None:
         """The listening part of the radio, for a program that only listens while another one sends; None if
         the radio has no such part."""

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from companion.address_forms import LINK_FORMS, check_form
+from companion.address_forms import LINK_FORMS, check_form, used_by
 from companion.radio.section import RadioSection
 
 
@@ -23,6 +23,11 @@ class ArduRemoteIdRadio(RadioSection, frozen=True, tag="arduremoteid"):
     def check(self, name: str) -> None:
         """Check the form of the link."""
         check_form(self.link, LINK_FORMS, f"{name}.link")
+
+    def uses(self) -> dict[str, str]:
+        """The link: a module on the vehicle's link would be sent what the gate has not seen."""
+        used = used_by(self.link)
+        return {} if used is None else {"link": used}
 
     def remark(self, system_id: int) -> str | None:
         """A warning if the module is configured with the system ID of another vehicle."""

@@ -38,6 +38,12 @@ class WifiRadio(RadioSection, frozen=True, tag="wifi"):
                 f"interface, 1 to 15 characters; {interface!r} has {len(interface)}"
             )
 
+    def uses(self) -> dict[str, str]:
+        """The network interface of each part."""
+        hostapd = self.hostapd and self.hostapd.rpartition("/")[2]
+        parts = {"hostapd": hostapd, "inject": self.inject, "monitor": self.monitor}
+        return {key: f"interface {name}" for key, name in parts.items() if name is not None}
+
     def listening(self) -> Self | None:
         """The monitor interface alone."""
         return None if self.monitor is None else msgspec.structs.replace(self, hostapd=None, inject=None)
