@@ -113,6 +113,10 @@ def _configuration(config: Config, found: Preflight) -> None:
     found.green("configuration", "valid")
     for note in check_identity(config.identity, config.remote_id, config.region):
         found.yellow("configuration", note, "set it as your registration document shows it")
+    for number, entry in enumerate(config.radio):
+        unfit = entry.unfit_for(config.identity.uas_id)
+        if unfit is not None:
+            found.red("identity", f"radio[{number}]: {unfit}", "leave it out, or set another identity")
     if config.identity.uas_id == EXAMPLE_ID:
         # Messages with our own number are ignored: two aircraft that both have it would not avoid each other.
         tell = found.yellow if config.flight.use == "watch" else found.red

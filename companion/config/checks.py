@@ -9,7 +9,6 @@ from companion.config.sections import Config, policy_plugin
 from companion.errors import ConfigError
 from companion.geofence import check_areas
 from companion.laws import LAWS, kind_of, plugin_of
-from companion.radio.null.section import NullRadio
 from companion.radio.registry import RadioConfig
 from companion.remote_id.drip.trust import Trust
 
@@ -68,6 +67,10 @@ def check(config: Config, name: str) -> None:
     for number, entry in enumerate(config.radio):
         entry.check(f"{name}: radio[{number}]")
     _check_shared(config, name)
+    senders = [entry for entry in config.radio if entry.sends]
+    unfit = [entry.unfit_for(config.identity.uas_id) for entry in senders]
+    if unfit and all(unfit):
+        raise ConfigError(f"{name}: identity.uas_id: no [[radio]] can broadcast it: {unfit[0]}")
 
 
 def _check_shared(config: Config, name: str) -> None:
@@ -137,4 +140,4 @@ def _check_limits(config: Config, name: str) -> None:
 
 def _signs(radio: RadioConfig) -> bool:
     """Whether a radio sends every broadcast that it is given."""
-    return radio.at_own_rates is None and not isinstance(radio, NullRadio)
+    return radio.sends and radio.at_own_rates is None

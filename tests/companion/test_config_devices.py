@@ -1,4 +1,4 @@
-"""Configuration: one device or address has one user."""
+"""Configuration: one device or address has one user, and a radio must be able to send the identity."""
 
 from __future__ import annotations
 
@@ -101,3 +101,39 @@ def test_one_device_has_one_user(tmp_path, link, sections, key, user):
 )
 def test_different_devices_are_accepted(tmp_path, link, sections):
     configuration.load(write(tmp_path, f'{IDENTITY}[vehicle]\nlink = "{link}"\n{sections}'))
+
+
+DET = '[identity]\nid_type = 4\nuas_id = "0120010030000000000000000000000001"\n'
+MODULE = '"arduremoteid"\nlink = "serial:/dev/ttyACM0:57600"'
+
+
+@pytest.mark.parametrize(
+    "others", [(), ('"hci"\nchannel = "user:0"\nsend = false', '"wifi"\nmonitor = "mon0"', '"null"')]
+)
+def test_an_identity_that_no_radio_can_send_is_refused(tmp_path, others):
+    """Every DRIP entity tag holds a zero byte, at which a module with ArduRemoteID cuts it."""
+    path = write(tmp_path, DET + radios(MODULE, *others))
+    with pytest.raises(ConfigError, match=r"c\.toml: identity\.uas_id: no \[\[radio\]\] can broadcast it"):
+        configuration.load(path)
+
+
+@pytest.mark.parametrize(
+    ("identity", "sections"),
+    [
+        (IDENTITY, radios(MODULE)),
+        (DET, radios(MODULE, '"hci"\nchannel = "user:0"')),
+        (DET, radios('"hci"\nchannel = "user:0"\nsend = false')),
+        (DET, ""),
+    ],
+)
+def test_an_identity_that_one_radio_can_send_or_that_is_not_broadcast_is_accepted(
+    tmp_path, identity, sections
+):
+    configuration.load(write(tmp_path, identity + sections))
+
+
+def test_a_radio_that_only_listens_signs_nothing(tmp_path):
+    signing = '[remote_id]\nsigning = { key = "a", raa = 0, hda = 0 }\n'
+    path = write(tmp_path, IDENTITY + signing + radios('"hci"\nchannel = "user:0"\nsend = false'))
+    with pytest.raises(ConfigError, match=r"remote_id\.signing: no \[\[radio\]\] sends signatures"):
+        configuration.load(path)

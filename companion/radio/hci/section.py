@@ -22,6 +22,11 @@ class HciRadio(RadioSection, frozen=True, tag="hci"):
     send: bool = True
     listen: bool = True
 
+    @property
+    def sends(self) -> bool:
+        """The key `send`."""
+        return self.send
+
     def check(self, name: str) -> None:
         """Check the form of the channel, and that the radio does anything."""
         check_form(self.channel, _CHANNEL_FORMS, f"{name}.channel")

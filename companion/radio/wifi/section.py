@@ -27,6 +27,11 @@ class WifiRadio(RadioSection, frozen=True, tag="wifi"):
     channel: Annotated[int, Meta(ge=1, le=177)] = 6
     """Wi-Fi channel of the card; if hostapd reports a channel, that one is used."""
 
+    @property
+    def sends(self) -> bool:
+        """Whether there is a sending part."""
+        return self.hostapd is not None or self.inject is not None
+
     def check(self, name: str) -> None:
         """Check that there is a part, and that the name of hostapd's interface is possible."""
         if self.hostapd is self.inject is self.monitor is None:
