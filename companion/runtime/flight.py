@@ -28,7 +28,6 @@ from companion.event_record import Step
 from companion.events import (
     AuthorityChanged,
     Broadcast,
-    Decision,
     FlightMode,
     RemoteIdHeard,
     Say,
@@ -427,8 +426,7 @@ class Flight:
                 self._say(f"{command.previous} -> {command.state}: {command.reason}")
             elif isinstance(command, Say) and command.severity <= Severity.ERROR:
                 self._say(command.text)
-            elif isinstance(command, Decision):
-                self._report.decision, self._report.decided_s = command, step.now_s
+        self._report.take(step)
         self._run.step(step)
         self._look_after(step.now_s)
 
