@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 from companion.errors import ConfigError
 
 LINK_FORMS = ("udpin:HOST:PORT", "udpout:HOST:PORT", "tcp:HOST:PORT", "serial:DEVICE:BAUD")
@@ -21,6 +23,21 @@ def check_form(text: str, forms: tuple[str, ...], name: str) -> None:
     if not any(_has_form(text, form) for form in forms):
         allowed = " or ".join((", ".join(forms[:-1]), forms[-1])) if len(forms) > 1 else forms[0]
         raise ConfigError(f"{name}: {text!r}: allowed: {allowed}; PORT is 1 to 65535")
+
+
+def used_by(text: str) -> str | None:
+    """The device or address of a link or channel, in one form; None if it is any free port.
+
+    Names of hosts are not resolved, except "localhost", and links to devices are not followed.
+    """
+    kind, _, rest = text.partition(":")
+    where, _, number = rest.rpartition(":")
+    if kind in ("serial", "uart"):
+        return f"device {os.path.normpath(where)}"
+    host = where.strip("[]").lower()
+    # Connecting to 0.0.0.0 leads to this computer; listening there is another matter.
+    local = ("localhost",) if kind == "udpin" else ("localhost", "0.0.0.0")
+    return f"{kind} {'127.0.0.1' if host in local else host}:{int(number)}" if int(number) else None
 
 
 def _has_form(text: str, form: str) -> bool:

@@ -7,9 +7,11 @@ and the core as if that vehicle flew now, but nothing is commanded. An onboard l
 
 from __future__ import annotations
 
+import bisect
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -30,6 +32,7 @@ from companion.events import (
     AnyEvent,
     Broadcast,
     Command,
+    GateRefused,
     GlobalPosition,
     GnssFix,
     Heartbeat,
@@ -40,6 +43,7 @@ from companion.events import (
     VelocitySetpoint,
 )
 from companion.gate.gate import STALL_S, Gate
+from companion.gate.rules import Rule
 from companion.remote_id import codec
 from companion.remote_id.messages import Location
 from companion.system import CompanionSystem
@@ -52,6 +56,16 @@ _NEAR_ZERO = 10.0
 of Earth-centred coordinates of about 6e6 m, where adjacent floating-point numbers are 9.3e-10 m apart, and
 another machine's rounding changes the result by a few of these steps."""
 
+_SILENT_S = 5.1
+"""The gate reports the same rule at most once in five seconds."""
+_LATER_S = 1.0
+"""A command may wait this long for the vehicle's answer, and be refused only then."""
+_TIMED = frozenset(
+    rule.value.name for rule in (Rule.WHOLE, Rule.KIND, Rule.CURRENT, Rule.AUTHORITY, Rule.AGE, Rule.ANSWER)
+)
+"""Rules about frames that no record holds, or about when messages arrived between two steps. By them the gate
+of a replay judges some commands otherwise, without any change of the software."""
+_RULES = {rule.number: rule for rule in Rule}
 _TEXTS = frozenset({"text", "reason"})
 """Fields of commands that are written for people. A new version may say them in other words."""
 
@@ -73,6 +87,10 @@ class RecordReplay:
     """The first difference, in words; None if there is none."""
     refused: dict[str, int] = field(default_factory=dict)
     """Number of commands that the gate would refuse now, by the name of the rule."""
+    refused_anew: dict[str, int] = field(default_factory=dict)
+    """Those of them that were not refused in flight, according to the record."""
+    passed_anew: dict[str, int] = field(default_factory=dict)
+    """Number of refusals in the record that the gate would not repeat now, by the name of the rule."""
     unread_bytes: int = 0
     """Size of an incomplete record at the end of the file, which is not compared."""
 
@@ -95,7 +113,7 @@ def replay_record(records: Iterable[Record], name: str, tolerance: float) -> Rec
     for item in records:
         if isinstance(item, Header):
             core, result.aircraft = Companion(item.config, item.policy), item.aircraft
-            gate = _GateAgain(item.config, result.refused)
+            gate = _GateAgain(item.config)
             continue
         if core is None or gate is None:
             raise PeerDataError(f"{name}: the first record is not a header")
@@ -112,6 +130,8 @@ def replay_record(records: Iterable[Record], name: str, tolerance: float) -> Rec
         result.reworded += _close(_without_texts(commands), _without_texts(item.commands), tolerance)
         if result.first is None:
             result.first = f"{name}: step {result.steps} at {item.now_s:.3f} s: {_differing(item, commands)}"
+    if gate is not None:
+        gate.compare(result)
     return result
 
 
@@ -121,10 +141,15 @@ class _GateAgain:
     The link repeats mode requests. Only the first request is judged here.
     """
 
-    def __init__(self, config: Config, refused: dict[str, int]) -> None:
+    def __init__(self, config: Config) -> None:
         self._gate = Gate(config)
+        self._refused_s: dict[str, list[float]] = {}
+        """Times of the refusals, in order, by rule."""
+        self._told_s: dict[str, list[float]] = {}
+        """Times of the steps whose events report a refusal in flight, by rule."""
+        self._setpoints = self._passed = 0
+        """Numbers of setpoints that the gate was asked about, and of those that it passed."""
         self._writer = MavlinkWriter(1, config.vehicle.component_id)
-        self._refused = refused
         self._vehicle: Heartbeat | None = None
         self._last_s = -math.inf
 
@@ -134,8 +159,11 @@ class _GateAgain:
         behind = any(isinstance(event, InputBehind) for event in step.events)
         if not behind and now_s - self._last_s <= STALL_S:
             gate.emptied(now_s)
+        before = Counter(gate.counts)
         for event in step.events:
             gate.hear(event, now_s)
+            if isinstance(event, GateRefused):
+                self._told_s.setdefault(_RULES[event.rule].value.name, []).append(now_s)
             self._vehicle = event if isinstance(event, Heartbeat) else self._vehicle
         if behind:
             gate.behind()
@@ -146,8 +174,32 @@ class _GateAgain:
         for command in commands:
             outgoing = self._outgoing(command)
             if outgoing is not None:
-                gate.release(self._writer.pack_payload(*outgoing), now_s)
-        self._refused.update(gate.counts)
+                left = gate.release(self._writer.pack_payload(*outgoing), now_s)
+                if isinstance(command, VelocitySetpoint):
+                    self._setpoints += 1
+                    self._passed += bool(left)
+        for rule in (gate.counts - before).elements():
+            self._refused_s.setdefault(rule, []).append(now_s)
+
+    def compare(self, result: RecordReplay) -> None:
+        """Enter the refusals into the result, and those that differ from the record's.
+
+        The record reports a refusal in a later step, so it says nothing about the last one. Refusals by the
+        rules of `_TIMED` differ only if the gate passes no setpoint at all.
+        """
+        result.refused.update(self._gate.counts)
+        unsure = _TIMED if self._passed or not self._setpoints else frozenset()
+        for rule in self._refused_s.keys() - unsure:
+            told_s = self._told_s.get(rule, [])
+            times_s = [t for t in self._refused_s[rule] if t < self._last_s]
+            anew = sum(not _any_in(told_s, t - _SILENT_S, t + _LATER_S) for t in times_s)
+            if anew:
+                result.refused_anew[rule] = anew
+        for rule in self._told_s.keys() - _TIMED:
+            refused_s = self._refused_s.get(rule, [])
+            passed = sum(not _any_in(refused_s, t - _LATER_S, t) for t in self._told_s[rule])
+            if passed:
+                result.passed_anew[rule] = passed
 
     def _outgoing(self, command: Command) -> Outgoing | None:
         vehicle = self._vehicle
@@ -160,6 +212,12 @@ class _GateAgain:
             params = (float(CUSTOM_MODE_ENABLED), asked.param2, asked.param3)
             return command_long(CMD_DO_SET_MODE, params, vehicle.system_id)
         return None
+
+
+def _any_in(times_s: Sequence[float], begin_s: float, end_s: float) -> bool:
+    """Whether a sorted sequence holds a time of a span."""
+    at = bisect.bisect_left(times_s, begin_s)
+    return at < len(times_s) and times_s[at] <= end_s
 
 
 def _differing(step: Step, now: tuple[Command, ...]) -> str:

@@ -48,7 +48,7 @@ from companion.ownship import Ownship
 from companion.runtime import clock
 from companion.runtime.links.kept_link import KeptLink
 from companion.runtime.links.no_vehicle import no_vehicle
-from companion.runtime.record.disk import finished_runs, free_mb
+from companion.runtime.record.disk import finished_runs, free_mb, not_mounted
 from companion.runtime.signing_key import KeptSigning
 from companion.runtime.stored_parameters import read_settings
 from companion.runtime.warm import warm_up, was_compiled
@@ -118,6 +118,10 @@ def _configuration(config: Config, found: Preflight) -> None:
     found.green("configuration", "valid")
     for note in check_identity(config.identity, config.remote_id, config.region):
         found.yellow("configuration", note, "set it as your registration document shows it")
+    for number, entry in enumerate(config.radio):
+        unfit = entry.unfit_for(config.identity.uas_id)
+        if unfit is not None:
+            found.red("identity", f"radio[{number}]: {unfit}", "leave it out, or set another identity")
     if config.identity.uas_id == EXAMPLE_ID:
         # Messages with our own number are ignored: two aircraft that both have it would not avoid each other.
         tell = found.yellow if config.flight.use == "watch" else found.red
@@ -174,6 +178,10 @@ def _kernels(_config: Config, found: Preflight) -> None:
 def _disk(config: Config, found: Preflight) -> None:
     record = config.record
     folder = Path(record.folder).absolute()
+    absent = not_mounted(folder)
+    if absent is not None:
+        found.red("disk", f"{folder}: {absent}", "mount the disk, make the folder, or set record.folder")
+        return
     there = next(parent for parent in (folder, *folder.parents) if parent.exists())
     if not (there.is_dir() and os.access(there, os.W_OK)):
         found.red(
@@ -210,6 +218,8 @@ def _vehicle(config: Config, found: Preflight) -> None:
     for trouble in (kept.unread, kept.error):
         if trouble is not None:
             found.red("signing", trouble, "repair the disk, or set record.folder")
+    if kept.wrong_clock is not None:
+        found.red("signing", kept.wrong_clock, "set the clock")
     try:
         link = KeptLink(
             config.vehicle.link,

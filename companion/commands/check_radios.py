@@ -11,7 +11,7 @@ from companion.config import Config
 from companion.errors import ConfigError
 from companion.remote_id.transports import BLE4
 from companion.runtime import clock
-from companion.runtime.policy import judge_policy
+from companion.runtime.policy import judge_policy, without_choice
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
 
@@ -63,6 +63,9 @@ def _judge_radios(config: Config, radios: Radios, failed: Sequence[str], found: 
             found.red(what, text, "docs/radios.md says what this backend needs")
     if failed:
         return
+    stuck = without_choice(config, radios.capabilities) if config.has_radio else None
+    if stuck is not None:
+        found.yellow("policy", stuck, "use a radio that can send its transports, or another atmc.policy")
     try:
         prepared = prepare(config, radios)
     except ConfigError as error:

@@ -190,6 +190,13 @@ def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
         if result.refused:
             rules = ", ".join(f"{name} {count}" for name, count in sorted(result.refused.items()))
             print(f"commands that the gate would now refuse, by rule: {rules}")
+        for what, counts in (
+            ("commands that the gate refuses now and did not refuse then", result.refused_anew),
+            ("refusals in the record that the gate does not repeat now", result.passed_anew),
+        ):
+            if counts:
+                rules = ", ".join(f"{name} {count}" for name, count in sorted(counts.items()))
+                print(f"{what}, by rule: {rules}")
     if result.first is not None:
         print(result.first, file=sys.stderr)
     if result.unread_bytes:
@@ -197,7 +204,8 @@ def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
         print(f"{path}: {words}", file=sys.stderr)
     if not result.steps:
         print(f"{path}: holds no step, so nothing was compared", file=sys.stderr)
-    return 1 if result.differences or not result.steps else 0
+    differs = result.differences or result.refused_anew or result.passed_anew
+    return 1 if differs or not result.steps else 0
 
 
 def _same_machine_and_software(manifest: Path) -> bool:

@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.errors import ConfigError
+from companion.runtime.status.sent_rates import in_words
 from companion.runtime.status.status_socket import SUFFIX, Status, folders, is_served
 
 PERIOD_S = 0.5
@@ -133,7 +134,7 @@ def render(status: Status) -> Group:
 def _facts(s: Status) -> list[tuple[str, str, str]]:
     """Name, text and style of each line of facts."""
     utc = "unknown" if s.utc_s is None else time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(s.utc_s))
-    rates = ", ".join(f"{transport} {rate}/s" for transport, rate in s.rates.items()) or "nothing"
+    rates = in_words(s.rates, s.sent_per_s) or "nothing"
     place = "unknown"
     if s.lat_deg is not None and s.lon_deg is not None and s.alt_msl_m is not None:
         place = f"{s.lat_deg:.7f} {s.lon_deg:.7f}, {s.alt_msl_m:.1f} m above mean sea level"

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from companion import plugins
-from companion.address_forms import LINK_FORMS, check_form
+from companion.address_forms import LINK_FORMS, check_form, used_by
 from companion.config.identity_checks import check_identity
 from companion.config.sections import Config, policy_plugin
 from companion.errors import ConfigError
 from companion.geofence import check_areas
 from companion.laws import LAWS, kind_of, plugin_of
-from companion.radio.null.section import NullRadio
 from companion.radio.registry import RadioConfig
 from companion.remote_id.drip.trust import Trust
 
@@ -67,6 +66,25 @@ def check(config: Config, name: str) -> None:
     check_form(config.vehicle.link, LINK_FORMS, f"{name}: vehicle.link")
     for number, entry in enumerate(config.radio):
         entry.check(f"{name}: radio[{number}]")
+    _check_shared(config, name)
+    senders = [entry for entry in config.radio if entry.sends]
+    unfit = [entry.unfit_for(config.identity.uas_id) for entry in senders]
+    if unfit and all(unfit):
+        raise ConfigError(f"{name}: identity.uas_id: no [[radio]] can broadcast it: {unfit[0]}")
+
+
+def _check_shared(config: Config, name: str) -> None:
+    """Check that the vehicle's link and every radio have a device or address of their own."""
+    users = {used_by(config.vehicle.link): "vehicle.link"}
+    for number, entry in enumerate(config.radio):
+        own = entry.uses()
+        for key, used in own.items():
+            if used in users:
+                raise ConfigError(
+                    f"{name}: radio[{number}].{key}: {getattr(entry, key)!r}: {users[used]} uses it, too; "
+                    "each needs its own"
+                )
+        users |= {used: f"radio[{number}].{key}" for key, used in own.items()}
 
 
 def _check_flight(config: Config, name: str) -> None:
@@ -122,4 +140,4 @@ def _check_limits(config: Config, name: str) -> None:
 
 def _signs(radio: RadioConfig) -> bool:
     """Whether a radio sends every broadcast that it is given."""
-    return radio.at_own_rates is None and not isinstance(radio, NullRadio)
+    return radio.sends and radio.at_own_rates is None

@@ -31,6 +31,19 @@ class RadioSection(
             ConfigError: names the key and what is allowed.
         """
 
+    @property
+    def sends(self) -> bool:
+        """Whether the radio broadcasts at all, as far as the configuration tells."""
+        return True
+
+    def unfit_for(self, uas_id: str) -> str | None:
+        """Why the radio cannot broadcast this identity, in words; None if it can."""
+        return None
+
+    def uses(self) -> dict[str, str]:
+        """Devices and addresses that no other section may use, by key, in a form that compares equal."""
+        return {}
+
     def listening(self) -> Self | None:
         """The listening part of the radio, for a program that only listens while another one sends; None if
         the radio has no such part."""

@@ -28,7 +28,6 @@ from companion.event_record import Step
 from companion.events import (
     AuthorityChanged,
     Broadcast,
-    Decision,
     FlightMode,
     RemoteIdHeard,
     Say,
@@ -427,17 +426,16 @@ class Flight:
                 self._say(f"{command.previous} -> {command.state}: {command.reason}")
             elif isinstance(command, Say) and command.severity <= Severity.ERROR:
                 self._say(command.text)
-            elif isinstance(command, Decision):
-                self._report.decision, self._report.decided_s = command, step.now_s
+        self._report.take(step)
         self._run.step(step)
         self._look_after(step.now_s)
 
     def _look_after(self, now_s: float) -> None:
         """Report troubles that do not end the flight. In a dry run the pilot receives no reports."""
         troubles = self._troubles
-        unread = self._signing.unread and f"{self._signing.unread}; signing starts at this computer's time"
         kept = {
-            Trouble.SIGNING_UNREAD: ("signing", unread),
+            Trouble.SIGNING_UNREAD: ("last signing time not known", self._signing.unread),
+            Trouble.SIGNING_CLOCK: ("signing", self._signing.wrong_clock),
             Trouble.NOT_RECORDED: ("not recording", self._run.error),
             Trouble.SLOW_DISK: ("recording", None if self._run.error else self._run.slow(now_s)),
             Trouble.SETTINGS_NOT_KEPT: ("settings not saved", self._kept_settings.error),

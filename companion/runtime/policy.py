@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from companion.atmc.actions import legal
+from companion.atmc.actions import Action, able, legal
 from companion.atmc.plugin_policy import plugin_policy, try_out
 from companion.atmc.policy import MAX_BYTES, check_flyable, load
+from companion.atmc.rule import FLYING_RULE
 from companion.config import CHOOSER_WORDS, Config, names_file
 from companion.errors import ConfigError
 
@@ -72,3 +74,34 @@ def judge_policy(config: Config) -> list[str]:
         f"{allowed} of {len(m.actions)} actions are legal in region {config.region.name}",
         *lines,
     ]
+
+
+def without_choice(config: Config, can_send: Collection[str]) -> str | None:
+    """Why the policy can choose nothing with radios that send on these transports, in words; None if it can
+    choose, or if there is no policy that can be used.
+
+    In flight it would look at work, but only the fall-back would be used.
+    """
+    try:
+        actions = _actions(config)
+    except ConfigError:
+        return None  # `judge_policy` says why.
+    if not actions or (legal(actions, config.region) & able(actions, can_send)).any():
+        return None
+    have = ", ".join(sorted(can_send)) or "nothing"
+    return (
+        f"none of its {len(actions)} actions is legal in region {config.region.name} and can be sent by the "
+        f"radios ({have}); in flight only the fall-back is used"
+    )
+
+
+def _actions(config: Config) -> Sequence[Action]:
+    """Actions of the configured policy; empty if there is none. Raises ConfigError if it cannot be used."""
+    where = config.atmc.policy
+    if where is None:
+        return ()
+    plugged = plugin_policy(where)
+    if plugged is not None:
+        return plugged.actions
+    data = read_policy(config)
+    return FLYING_RULE.actions if data is None else load(data, where).actions

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pkgutil
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 
 from companion.config import Config
@@ -17,6 +18,7 @@ from companion.remote_id.transports import WIFI_BEACON
 from companion.runtime import clock
 from companion.runtime.links.kept_link import KeptLink
 from companion.runtime.links.open_link import open_link
+from companion.runtime.refusals import Refusing
 
 
 class _RadioLink:
@@ -87,6 +89,7 @@ class Radios:
         except ConfigError:
             self.close()
             raise
+        self._refusing = [Refusing() for _ in self.radios]
 
     @property
     def capabilities(self) -> frozenset[str]:
@@ -149,16 +152,33 @@ class Radios:
         Raises:
             ValueError: no radio has this transport, or the messages cannot be sent.
         """
-        able = [radio for radio in self.radios if transport in radio.capabilities]
+        able = [n for n, radio in enumerate(self.radios) if transport in radio.capabilities]
         if not able:
             raise ValueError(f"no radio can send on {transport!r}")
         if self._sending:
-            ready = [radio for radio in able if transport in radio.health(now_s).can_send]
-            (ready or able)[0].broadcast(transport, messages, now_s)
+            ready = [n for n in able if transport in self._health(n, now_s).can_send]
+            number = (ready or able)[0]
+            try:
+                self.radios[number].broadcast(transport, messages, now_s)
+            except ValueError:
+                self._refusing[number].refused(transport, now_s)
+                raise
+            self._refusing[number].sent(transport)
+
+    def _health(self, number: int, now_s: float) -> Health:
+        """What a radio reports, except that a transport on which it refuses everything cannot send."""
+        health, unable = self.radios[number].health(now_s), self._refusing[number].unable(now_s)
+        if not unable:
+            return health
+        text = f"{health.text}; refuses all broadcasts on {', '.join(sorted(unable))}"
+        return replace(health, ok=False, text=text, can_send=health.can_send - unable)
+
+    def _healths(self, now_s: float) -> list[Health]:
+        return [self._health(number, now_s) for number in range(len(self.radios))]
 
     def state(self, now_s: float) -> RadioState:
         """What the radios can do now."""
-        healths = [radio.health(now_s) for radio in self.radios]
+        healths = self._healths(now_s)
         senders: dict[str, int] = {}
         for number, health in enumerate(healths):
             for transport in health.can_send:
@@ -190,7 +210,7 @@ class Radios:
         """State of all radios combined."""
         if not self.radios:
             return NullTransport().health(now_s)
-        healths = [radio.health(now_s) for radio in self.radios]
+        healths = self._healths(now_s)
         return Health(
             ok=all(health.ok for health in healths),
             text="; ".join(self._named(n, health.text) for n, health in enumerate(healths)),
@@ -205,7 +225,7 @@ class Radios:
 
     def lines(self, now_s: float) -> list[str]:
         """State of each radio and what it lacks, one line each."""
-        healths = [radio.health(now_s) for radio in self.radios]
+        healths = self._healths(now_s)
         return [self._line(n, text) for n, h in enumerate(healths) for text in (h.text, *h.missing)]
 
     def close(self) -> None:

@@ -9,17 +9,21 @@ import time
 from hashlib import sha256
 from pathlib import Path
 
-from companion.autopilot.signing import KEY_BYTES, LATEST, TICKS_PER_S, Signing, timestamp_at
+from companion.autopilot.signing import KEY_BYTES, TICKS_PER_S, Signing, timestamp_at
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.runtime import clock
-from companion.runtime.record.disk import replace_file
+from companion.runtime.record.disk import not_mounted, replace_file
 
 TIMESTAMP_FILE = "signing-timestamp"
 """Name of the file in record.folder that holds the last timestamp used, in decimal digits."""
 PERIOD_S = 5.0
 """Time between two writes of the timestamp. A process that is killed loses no more than that, so the next
 process starts this much later than the stored timestamp."""
+PLAUSIBLE_UTC_S = 4_102_444_800.0
+"""No clock is later than this, the beginning of the year 2100. The timestamps end in 2104, and once a vehicle
+has taken one near the end, no later frame is newer."""
+_LATEST = timestamp_at(PLAUSIBLE_UTC_S)
 _PATIENCE_S = 2.0
 """How long the flight waits for the first write of the timestamp before it continues without it."""
 _HEX = frozenset("0123456789abcdefABCDEF")
@@ -111,6 +115,8 @@ class KeptSigning:
         """Why the latest timestamp is not on disk; None if it is."""
         self.unread: str | None = None
         """Why the timestamp that an earlier process stored is not known; None without trouble."""
+        self.wrong_clock: str | None = None
+        """What is wrong with this computer's clock, which is then not used; None without trouble."""
         self._stop = threading.Event()
         self._written = threading.Event()
         self._path = Path(config.record.folder) / TIMESTAMP_FILE
@@ -119,7 +125,14 @@ class KeptSigning:
         key = read_key(Path(config.vehicle.signing_key))
         # The clock may be wrong (a small computer has no battery for it), so the stored timestamp counts,
         # too.
-        start = max(timestamp_at(time.time()), self._stored())
+        utc_s, start = time.time(), self._stored()
+        if utc_s < PLAUSIBLE_UTC_S:
+            start = max(timestamp_at(utc_s), start)
+        else:
+            self.wrong_clock = (
+                "this computer's clock is later than the year 2100; signing starts at the stored time, or at "
+                "the vehicle's"
+            )
         self.signing = Signing(key, start, clock.now_s())
         self._thread = threading.Thread(target=self._keep, args=(self.signing,), name="signing", daemon=True)
         self._thread.start()
@@ -143,9 +156,14 @@ class KeptSigning:
         self._write(signing)
 
     def _write(self, signing: Signing) -> None:
+        timestamp = max(signing.timestamp, self._newest_by_others())
+        if timestamp >= _LATEST:
+            # Adopted from the vehicle. A later process learns it from there, or finds the vehicle corrected.
+            self.error = f"{self._path}: the vehicle's signing time is later than the year 2100"
+            return
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            replace_file(self._path, f"{max(signing.timestamp, self._newest_by_others())}\n".encode())
+            self._path.parent.mkdir(exist_ok=True)
+            replace_file(self._path, f"{timestamp}\n".encode())
             self.error = None
         except OSError as error:
             self.error = f"{error.filename or self._path}: cannot be written: {error.strerror}"
@@ -155,6 +173,8 @@ class KeptSigning:
         try:
             last = self._read()
         except FileNotFoundError:
+            absent = not_mounted(self._path.parent)
+            self.unread = absent and f"{self._path}: {absent}"
             return 0
         except OSError as error:
             self.unread = f"{self._path}: cannot be read: {error.strerror}"
@@ -174,9 +194,8 @@ class KeptSigning:
     def _read(self) -> int | None:
         """Timestamp in the file; None if it is damaged. Raises OSError if it cannot be read."""
         text = self._path.read_bytes()
-        last = int(text) if text.strip().isdigit() and len(text) < 20 else LATEST
-        # The last timestamp can never be followed by another: the vehicle would take one frame and no more.
-        return last if last + _ticks() < LATEST else None
+        last = int(text) if text.strip().isdigit() and len(text) < 20 else _LATEST
+        return last if last + _ticks() < _LATEST else None
 
 
 def _ticks() -> int:

@@ -12,7 +12,7 @@ from companion.adjustable_parameters import ENABLE, checked, differences
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.events import Settings
-from companion.runtime.record.disk import replace_file
+from companion.runtime.record.disk import not_mounted, replace_file
 
 _MOST_BYTES = 4096
 _CLOSE_S = 5.0
@@ -27,14 +27,18 @@ def read_settings(config: Config) -> Settings:
     """Read the stored settings; without a file, settings in which nothing is set.
 
     Raises:
-        ConfigError: the file cannot be read, is damaged, or does not fit this configuration. The text names
-            it.
+        ConfigError: the file cannot be read, is damaged, does not fit this configuration, or its disk is not
+            mounted. The text names it.
     """
     path = settings_path(config)
+    # Asked before the file is opened: the disk may be mounted at any time.
+    absent = not_mounted(path.parent)
     try:
         with path.open("rb") as file:
             stored = msgspec.json.decode(file.read(_MOST_BYTES), type=Settings)
     except FileNotFoundError:
+        if absent is not None:
+            raise ConfigError(f"{path}: {absent}") from None
         return Settings()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
@@ -74,12 +78,14 @@ class _Switch(msgspec.Struct):
 
 
 def _enabled(config: Config) -> bool:
-    """Whether the stored settings leave the companion switched on; if unreadable, they may not."""
+    """Whether the stored settings leave the companion switched on; if unreadable or absent with their disk,
+    they may not."""
+    absent = not_mounted(settings_path(config).parent)
     try:
         with settings_path(config).open("rb") as file:
             return msgspec.json.decode(file.read(_MOST_BYTES), type=_Switch).enable
     except FileNotFoundError:
-        return True
+        return absent is None
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return False
 
@@ -122,7 +128,7 @@ class KeptSettings:
             # Read `_stop` before writing, so that settings taken before `close` are still written.
             last = self._stop
             try:
-                self._path.parent.mkdir(parents=True, exist_ok=True)
+                self._path.parent.mkdir(exist_ok=True)
                 replace_file(self._path, msgspec.json.encode(self._latest) + b"\n")
                 self.error = None
             except OSError as error:

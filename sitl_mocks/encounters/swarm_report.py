@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path, PurePath
@@ -64,9 +65,10 @@ def report_of(
     deviations = deviations_of(run, [paths[one.name] for one in run.aircraft], on_path)
     gaps = {name: _gaps(left) for name, left in vehicles.items()}
     frames = _air(folder, {name: uas_id_of(scenario, name) for name in names}, air)
-    chosen = {name: chosen_of(_records(folder, name)) for name in names}
+    torn: list[str] = []
+    chosen = {name: chosen_of(_records(folder, name, torn)) for name in names}
     least = min((pair.min_separation_m for pair in pairs), default=None)
-    reasons = [f"{name}: {why}" for name, why in missing.items()]
+    reasons = [f"{name}: {why}" for name, why in missing.items()] + torn
     if interrupted:
         reasons.append("the run was interrupted")
     if least is None:
@@ -160,11 +162,19 @@ def _heard(folder: Path, receiver: str, addresses: dict[str, str]) -> dict[str, 
     return counts
 
 
-def _records(folder: Path, name: str) -> Iterator[event_record.Record]:
-    """Event records of one aircraft."""
+def _records(folder: Path, name: str, torn: list[str] | None = None) -> Iterator[event_record.Record]:
+    """Event records of one aircraft.
+
+    Args:
+        torn: receives what is wrong with a file that is cut off, once it has been read.
+    """
     for file in folder.glob(f"*-{name}/*.events"):
         with file.open("rb") as stream:
-            yield from event_record.read(stream, str(file))
+            reader = event_record.Reader(stream, str(file))
+            yield from reader.records()
+            left = stream.seek(0, os.SEEK_END) - reader.offset
+            if left and torn is not None:
+                torn.append(f"{name}: its record is cut off; its last {left} bytes are not a whole record")
 
 
 def show(report: dict[str, Any], console: Console) -> None:

@@ -17,6 +17,7 @@ from companion.commands import cli
 from companion.core import Companion
 from companion.errors import PeerDataError
 from companion.events import AuthorityChanged, VelocitySetpoint
+from companion.gate.gate import Gate
 from companion.remote_id.messages import Location
 from companion.runtime.record.recorder import write_manifest
 from sitl_mocks.encounters import lockstep, scenario_file
@@ -30,7 +31,10 @@ ALL = (*SIMULATOR, "ardusub_multi_component", "dronekit_flight_replay", "uavlogv
 @pytest.fixture(scope="module")
 def run_folder(tmp_path_factory):
     """A recorded lock-step run of a head-on encounter."""
-    folder = tmp_path_factory.mktemp("run")
+    return recorded(tmp_path_factory.mktemp("run"))
+
+
+def recorded(folder):
     path = ((0.0, -40.0, 0.0, -60.0), (20.0, 40.0, 0.0, -60.0))
     back = ((0.0, 40.0, 0.0, -60.0), (20.0, -40.0, 0.0, -60.0))
     scenario = scenario_file.Scenario(
@@ -77,6 +81,50 @@ def test_the_gate_judges_a_replay_too(run_folder, monkeypatch, capsys):
     assert refused()["speed"] > 100
     assert cli.main(["replay", str(file)]) == 1
     assert "commands that the gate would now refuse, by rule: " in capsys.readouterr().out
+
+
+def refuses_all(self, data, now_s):
+    self.counts["speed"] += 1
+    return b""
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"release": refuses_all}, {"current": lambda *_: False}],
+    ids=["refuses all", "never knows the mode"],
+)
+def test_a_gate_that_refuses_what_it_did_not_refuse_then_is_found(run_folder, monkeypatch, capsys, change):
+    file = min(run_folder.glob("*.events"))
+    assert cli.main(["replay", str(file)]) == 0
+    for name, instead in change.items():
+        monkeypatch.setattr(Gate, name, instead)
+    assert cli.main(["replay", str(file)]) == 1
+    told = capsys.readouterr().out
+    assert " 0 steps differ" in told
+    assert "commands that the gate refuses now and did not refuse then, by rule: " in told
+
+
+def test_refusals_that_the_record_shows_must_come_again(tmp_path, monkeypatch, capsys):
+    step = Companion.step
+
+    def too_fast_at_times(self, now_s, events):
+        fast = VelocitySetpoint(velocity_ned_mps=(50.0, 0.0, 0.0))
+        commands = step(self, now_s, events)
+        if now_s % 10.0 > 1.0:
+            return commands
+        return [fast if isinstance(c, VelocitySetpoint) else c for c in commands]
+
+    monkeypatch.setattr(Companion, "step", too_fast_at_times)
+    folder = recorded(tmp_path)
+    assert cli.main(["replay", str(folder), "--json"]) == 0
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert all(line["refused"]["speed"] > 0 for line in told)
+    assert all(line["refused_anew"] == line["passed_anew"] == {} for line in told)
+    monkeypatch.setattr("companion.gate.bounds.Bounds.check", lambda *_: None)
+    assert cli.main(["replay", str(folder)]) == 1
+    told = capsys.readouterr().out
+    assert " 0 steps differ" in told
+    assert "refusals in the record that the gate does not repeat now, by rule: speed " in told
 
 
 def test_replay_of_a_folder_by_command(run_folder, capsys):

@@ -23,7 +23,7 @@ import msgspec
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
 from companion.radio.arduremoteid.module_messages import ARM_STATUS_WORDS, PARAMETERS, SILENT_AFTER_S, Module
-from companion.radio.arduremoteid.section import ArduRemoteIdRadio
+from companion.radio.arduremoteid.section import ZERO_BYTE, ArduRemoteIdRadio
 from companion.radio.radio import ByteLink, Health, RadioContext
 from companion.remote_id.mavlink import COMPONENT_ID, encode_odid
 from companion.remote_id.messages import (
@@ -376,7 +376,7 @@ class ArduRemoteIdTransport:
             return [f"module silent for {now_s - (module.heard_s or 0.0):.0f} s"]
         wrong = []
         if self._unfit:
-            wrong.append("the module cuts identities at a zero byte, and this aircraft's holds one")
+            wrong.append(ZERO_BYTE)
         if waiting := self._waiting:
             wrong.append(f"power-cycle the module: {self._named(waiting)} was switched on and starts with it")
         if lost := self._wanted - self._on:

@@ -6,8 +6,10 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from companion.address_forms import LINK_FORMS, check_form
+from companion.address_forms import LINK_FORMS, check_form, used_by
 from companion.radio.section import RadioSection
+
+ZERO_BYTE = "the module cuts identities at a zero byte, and this aircraft's holds one"
 
 
 class ArduRemoteIdRadio(RadioSection, frozen=True, tag="arduremoteid"):
@@ -23,6 +25,15 @@ class ArduRemoteIdRadio(RadioSection, frozen=True, tag="arduremoteid"):
     def check(self, name: str) -> None:
         """Check the form of the link."""
         check_form(self.link, LINK_FORMS, f"{name}.link")
+
+    def unfit_for(self, uas_id: str) -> str | None:
+        """The firmware reads identities as text that ends with a zero byte."""
+        return ZERO_BYTE if "\0" in uas_id else None
+
+    def uses(self) -> dict[str, str]:
+        """The link: a module on the vehicle's link would be sent what the gate has not seen."""
+        used = used_by(self.link)
+        return {} if used is None else {"link": used}
 
     def remark(self, system_id: int) -> str | None:
         """A warning if the module is configured with the system ID of another vehicle."""

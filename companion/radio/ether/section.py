@@ -19,6 +19,10 @@ class EtherRadio(RadioSection, frozen=True, tag="ether"):
         """Check the form of the address."""
         check_form(self.address, ("HOST:PORT",), f"{name}.address")
 
+    def uses(self) -> dict[str, str]:
+        """The address: another radio of this aircraft there would hear everything twice."""
+        return {"address": f"ether {self.address}"}
+
     def listening(self) -> Self:
         """The whole radio: the simulated air has room for many."""
         return self

@@ -9,3 +9,8 @@ class NullRadio(RadioSection, frozen=True, tag="null"):
     """No radio."""
 
     driver = "companion.radio.null.null_radio:open_radio"
+
+    @property
+    def sends(self) -> bool:
+        """Never."""
+        return False

@@ -27,6 +27,11 @@ class WifiRadio(RadioSection, frozen=True, tag="wifi"):
     channel: Annotated[int, Meta(ge=1, le=177)] = 6
     """Wi-Fi channel of the card; if hostapd reports a channel, that one is used."""
 
+    @property
+    def sends(self) -> bool:
+        """Whether there is a sending part."""
+        return self.hostapd is not None or self.inject is not None
+
     def check(self, name: str) -> None:
         """Check that there is a part, and that the name of hostapd's interface is possible."""
         if self.hostapd is self.inject is self.monitor is None:
@@ -37,6 +42,12 @@ class WifiRadio(RadioSection, frozen=True, tag="wifi"):
                 f"{name}.hostapd: {self.hostapd!r}: the path must end with the name of a network "
                 f"interface, 1 to 15 characters; {interface!r} has {len(interface)}"
             )
+
+    def uses(self) -> dict[str, str]:
+        """The network interface of each part."""
+        hostapd = self.hostapd and self.hostapd.rpartition("/")[2]
+        parts = {"hostapd": hostapd, "inject": self.inject, "monitor": self.monitor}
+        return {key: f"interface {name}" for key, name in parts.items() if name is not None}
 
     def listening(self) -> Self | None:
         """The monitor interface alone."""

@@ -36,6 +36,20 @@ def free_mb(folder: Path) -> float:
     return shutil.disk_usage(folder).free / _MB
 
 
+def not_mounted(folder: Path) -> str | None:
+    """Why record.folder is missing because its disk is missing, in words; None if it is there, or is a new
+    folder.
+
+    A new folder is made in a folder that exists. Where that one is missing too, or where a link leads
+    nowhere, the disk is most likely not mounted, and what was stored on it is unknown rather than unset.
+    """
+    if not os.path.exists(folder.parent):
+        return f"there is no folder {folder.parent}; mount its disk, or make that folder"
+    if folder.is_symlink() and not os.path.exists(folder):
+        return f"{folder} is a link to {os.readlink(folder)}, which is missing; mount its disk, or make it"
+    return None
+
+
 def lock(file: int) -> None:
     """Mark an open file as being written, until it is closed or its process ends in any way.
 

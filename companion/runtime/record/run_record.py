@@ -18,10 +18,11 @@ import msgspec
 from companion import __version__
 from companion import config as configuration
 from companion.config import Config
+from companion.errors import ConfigError
 from companion.event_record import Header, Step
 from companion.runtime.policy import RUN_FILE
 from companion.runtime.record.code import code_sha256
-from companion.runtime.record.disk import RUN, DiskFloor, replace_file
+from companion.runtime.record.disk import RUN, DiskFloor, not_mounted, replace_file
 from companion.runtime.record.recorder import (
     CLOSE_S,
     FlightRecorder,
@@ -107,8 +108,13 @@ class RunRecord:
         )
 
         def make() -> Path:
+            root = Path(config.record.folder)
+            # A folder made in the place of a disk would be taken for that disk at the next start.
+            absent = not_mounted(root)
+            if absent is not None:
+                raise ConfigError(f"record.folder: {root}: {absent}")
             self._make_room(config)
-            folder = create_run_folder(Path(config.record.folder), config.record.name, utc_s)
+            folder = create_run_folder(root, config.record.name, utc_s)
             _write_configuration(folder, config, policy)
             write_manifest(
                 folder,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from companion import __version__
 from companion.adjustable_parameters import SWITCHED_OFF
 from companion.authority.table import HOLDING
 from companion.autopilot.signing import Signing
 from companion.config import Config
+from companion.event_record import Step
 from companion.events import Decision
 from companion.radio.radio import Health
 from companion.runtime.lateness import Lateness
@@ -20,6 +21,7 @@ from companion.runtime.record.run_record import RunRecord
 from companion.runtime.refusals import Refusals
 from companion.runtime.status.console import Voice
 from companion.runtime.status.live_state import core_status
+from companion.runtime.status.sent_rates import SentRates, in_words
 from companion.runtime.status.status_socket import Status
 from companion.runtime.status.troubles import Troubles
 from companion.system import CompanionSystem
@@ -60,6 +62,14 @@ class FlightReport:
     decision: Decision | None = None
     """The law's latest decision."""
     decided_s: float = 0.0
+    sent: SentRates = field(default_factory=SentRates)
+
+    def take(self, step: Step) -> None:
+        """Take in one step of the core."""
+        for command in step.commands:
+            if isinstance(command, Decision):
+                self.decision, self.decided_s = command, step.now_s
+        self.sent.take(step.commands, self.onboard.core.broadcaster.rates, step.now_s)
 
     def line(self, now_s: float, late_ticks: int) -> str:
         """Status line: state of authority, what is heard, what is wrong."""
@@ -71,9 +81,17 @@ class FlightReport:
         return (
             f"{doing}; vehicle mode {mode}, {'armed' if core.own.armed else 'disarmed'}; "
             f"{unfit or 'own state valid'}; {len(core.traffic.tracks)} tracks; radio: {health.text}; "
-            f"frames sent {health.frames_sent}, heard {health.frames_heard}; "
+            f"{self._on_air(now_s)}frames sent {health.frames_sent}, heard {health.frames_heard}; "
             f"late ticks {late_ticks}{self._wrong(now_s)}"
         )
+
+    def _on_air(self, now_s: float) -> str:
+        """Part of the status line: what is broadcast how often."""
+        words = in_words(self._rates(), self.sent.per_s(now_s))
+        return f"on the air: {words}; " if words else ""
+
+    def _rates(self) -> dict[str, int]:
+        return {} if self.dry_run else dict(self.onboard.core.broadcaster.rates)
 
     def _wrong(self, now_s: float) -> str:
         """Part of the status line: what is wrong outside the core and the radios."""
@@ -136,7 +154,8 @@ class FlightReport:
             link_errors=trouble.errors,
             radio=health.text,
             radio_ok=health.ok,
-            rates={} if self.dry_run else dict(core.broadcaster.rates),
+            rates=self._rates(),
+            sent_per_s={} if self.dry_run else self.sent.per_s(now_s),
             frames_sent=health.frames_sent,
             frames_heard=health.frames_heard,
             bad_frames=health.bad_frames,

@@ -90,7 +90,7 @@ class Status(msgspec.Struct, frozen=True, kw_only=True):
     radio: str
     radio_ok: bool
     rates: dict[str, int]
-    """Rates on the air: messages per second on each transport; empty in a dry run."""
+    """Rates that were chosen: messages per second on each transport; empty in a dry run."""
     remote_id_trouble: str | None
     frames_sent: int
     frames_heard: int
@@ -106,6 +106,9 @@ class Status(msgspec.Struct, frozen=True, kw_only=True):
     folder: str | None
     recorder_error: str | None
     records_dropped: int
+    sent_per_s: dict[str, float] = {}
+    """Measured rates: messages per second on each transport that was chosen some seconds ago. The region may
+    ask for more than was chosen."""
     troubles: tuple[str, ...] = ()
     """Current troubles that do not end the flight, mostly of the disk."""
     said: tuple[str, ...]

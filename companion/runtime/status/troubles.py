@@ -19,6 +19,7 @@ class Trouble(enum.Enum):
     SETTINGS_UNREAD = "DMUCA: stored settings are not used"
     SETTINGS_NOT_KEPT = "DMUCA: settings cannot be saved to disk"
     SIGNING_UNREAD = "DMUCA: the last signing time is unknown"
+    SIGNING_CLOCK = "DMUCA: the clock for signing is wrong"
     RADIO_MISSING = "DMUCA: Remote ID radio does not work"
     SIGNING_NOT_KEPT = "DMUCA: signing time cannot be saved to disk"
 

@@ -21,9 +21,12 @@ from companion.commands import check as check_module
 from companion.commands.check import check
 from companion.config import AtmcConfig, Config, IdentityConfig, RecordConfig, RemoteIdConfig, VehicleConfig
 from companion.events import GlobalPosition
+from companion.radio.arduremoteid.section import ArduRemoteIdRadio
 from companion.radio.ether.section import EtherRadio
 from companion.radio.null.null_radio import NullTransport
+from companion.radio.null.section import NullRadio
 from companion.radio.radio import Health
+from companion.remote_id.messages import IdType
 from companion.runtime import radios
 from companion.runtime.links.byte_link import Received
 from companion.runtime.links.kept_link import KeptLink
@@ -260,6 +263,29 @@ def test_a_folder_that_cannot_be_written(
     (tmp_path / "file").write_text("")
     found = listed(1, record=RecordConfig(folder=str(tmp_path / "file" / "runs")))
     assert found["disk"][0][:2] == ("red", f"{tmp_path}/file/runs: cannot be written")
+
+
+def test_a_radio_that_cannot_send_the_identity(
+    listed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for probe in ("find_radios", "_vehicle"):
+        monkeypatch.setattr(check_module, probe, lambda *_: None)
+    tag = IdentityConfig(id_type=IdType.SPECIFIC_SESSION, uas_id="\x01 \x01\x00\x30" + "\0" * 11 + "\x01")
+    found = listed(1, identity=tag, radio=(NullRadio(), ArduRemoteIdRadio(link="udpout:127.0.0.1:9")))
+    light, text, _ = found["identity"][0]
+    assert light == "red"
+    assert text.startswith("radio[1]: the module cuts identities at a zero byte")
+
+
+def test_a_folder_whose_disk_is_not_mounted(
+    listed: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check_module, "_vehicle", lambda *_: None)
+    found = listed(1, record=RecordConfig(folder=str(tmp_path / "disk" / "runs")))
+    for what in ("disk", "settings"):
+        light, text, _ = found[what][0]
+        assert light == "red"
+        assert f"there is no folder {tmp_path}/disk; mount its disk" in text
 
 
 @pytest.mark.parametrize(

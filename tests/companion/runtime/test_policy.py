@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import msgspec
 import pytest
 
@@ -9,14 +11,20 @@ from companion import config as configuration
 from companion import event_record
 from companion.atmc.policy import MAX_BYTES
 from companion.commands.check import check
+from companion.commands.check_radios import find_radios
+from companion.commands.preflight import Preflight
 from companion.config import AtmcConfig, VehicleConfig
 from companion.errors import ConfigError
 from companion.radio.arduremoteid.section import ArduRemoteIdRadio
+from companion.radio.ether.section import EtherRadio
 from companion.remote_id.region import Region
 from companion.runtime.flight import Flight
-from companion.runtime.policy import RUN_FILE, judge_policy, read_policy
+from companion.runtime.policy import RUN_FILE, judge_policy, read_policy, without_choice
+from companion.toml_reader import decode_toml
 from tests.companion.atmc.policies import policy_file
+from tests.companion.runtime.flying import Radio
 
+REGIONS = Path(__file__).parents[3] / "config" / "regions"
 CONFIG = '[identity]\nuas_id = "A"\n[atmc]\npolicy = "{}"\n'
 
 
@@ -99,6 +107,44 @@ def test_a_region_where_none_of_its_actions_is_legal(load):
     law = Region(name="eu", transport_sets=(("wifi",), ("ble5",)))
     with pytest.raises(ConfigError, match="none of its actions is legal in region eu"):
         judge_policy(msgspec.structs.replace(config, region=law))
+
+
+@pytest.mark.parametrize("policy", ["good.safetensors", "rule", "fixed"])
+def test_a_policy_that_can_choose_nothing_with_the_radios_is_told(load, policy):
+    """The shipped policies know no Wi-Fi NAN, which alone is legal in the EU."""
+    region = decode_toml(REGIONS / "eu.toml", Region)
+    config = load(policy, policy_file() if "." in policy else None)
+    config = msgspec.structs.replace(config, region=region)
+    assert judge_policy(config)
+    text = without_choice(config, {"nan"})
+    assert "actions is legal in region eu and can be sent by the radios (nan)" in text
+    assert without_choice(config, {"ble4"}) is not None, "not legal alone"
+    for can_send in ({"wifi"}, {"wifi", "nan"}, {"ble4", "ble5"}):
+        assert without_choice(config, can_send) is None
+    assert without_choice(msgspec.structs.replace(config, atmc=AtmcConfig()), {"nan"}) is None
+    damaged = load("bad.safetensors", b"torn")
+    assert without_choice(damaged, {"nan"}) is None
+
+
+def test_check_is_yellow_for_a_policy_that_can_choose_nothing(load, monkeypatch):
+    class Nan(Radio):
+        capabilities = frozenset(("nan",))
+
+        def configure(self, rates, *, probe=False):
+            return ()
+
+    monkeypatch.setattr("companion.runtime.radios.open_radio", lambda *_: Nan())
+    monkeypatch.setattr("companion.commands.check_radios._RADIO_S", 0.0)
+    config = msgspec.structs.replace(
+        load("rule"),
+        region=decode_toml(REGIONS / "eu.toml", Region),
+        radio=(EtherRadio(address="127.0.0.1:9"),),
+    )
+    found = Preflight()
+    find_radios(config, found)
+    (line,) = (f.line() for f in found.findings if f.what == "policy")
+    assert line.startswith("yellow")
+    assert "by the radios (nan)" in line
 
 
 @pytest.mark.parametrize("damaged", [False, True])

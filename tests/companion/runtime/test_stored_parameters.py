@@ -17,7 +17,7 @@ from companion.errors import ConfigError
 from companion.events import Settings
 from companion.runtime.flight import Flight
 from companion.runtime.stored_parameters import KeptSettings, read_settings, settings_path, usable_settings
-from tests.companion.runtime.flying import Autopilot, Radio, configured, fly
+from tests.companion.runtime.flying import KEY, Autopilot, Radio, configured, fly, heard_of
 
 SET = Settings(enable=False, max_speed_mps=3.5)
 
@@ -178,6 +178,70 @@ def test_a_companion_whose_settings_cannot_be_read_is_switched_off_until_a_pilot
     kept.keep(Settings())
     kept.close()
     assert usable_settings(config, lambda _line: None, pytest.fail) == Settings()
+
+
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_switched_off_companion_stays_so_while_the_disk_with_its_settings_is_not_mounted(
+    tmp_path, config, linked
+):
+    """A missing file on a missing disk is not a file that was never written."""
+    disk, folder = tmp_path / "media" / "disk", tmp_path / "media" / "disk" / "runs"
+    disk.mkdir(parents=True)
+    if linked:
+        folder = tmp_path / "runs"
+        folder.symlink_to(disk / "runs")
+        (disk / "runs").mkdir()
+    config = msgspec.structs.replace(config, record=RecordConfig(folder=str(folder)))
+    kept = KeptSettings(config, Settings())
+    kept.keep(Settings(enable=False))
+    kept.close()
+    assert read_settings(config) == Settings(enable=False)
+    disk.rename(tmp_path / "elsewhere")
+    for _start in range(2):
+        told = []
+        settings = usable_settings(config, lambda _line: None, told.append)
+        assert settings == Settings(enable=False)
+        assert str(folder) in told[0]
+        assert "mount its disk" in told[0]
+        # What is stored now must not make the folder, which the next start would take for the disk.
+        kept = KeptSettings(config, settings)
+        kept.keep(Settings(horizon_s=9.0))
+        kept.close()
+        assert kept.error is not None
+        assert not disk.exists()
+    found = Preflight()
+    _settings(config, found)
+    assert not found.ready
+    (tmp_path / "elsewhere").rename(disk)
+    assert read_settings(config) == Settings(enable=False)
+
+
+def test_a_flight_without_the_disk_of_its_folder_starts_switched_off_and_does_not_make_the_folder(
+    make_config, tmp_path, kept_signals, watchdog, until, autopilot, said
+):
+    made = configured(make_config, tmp_path, autopilot.port)
+    folder = tmp_path / "media" / "disk" / "runs"
+    key = tmp_path / "key"
+    key.write_bytes(KEY)
+    key.chmod(0o600)
+    made = msgspec.structs.replace(
+        made,
+        record=RecordConfig(folder=str(folder)),
+        vehicle=msgspec.structs.replace(made.vehicle, signing_key=str(key)),
+    )
+    flight = Flight(made, said.append, dry_run=False)
+    assert flight.onboard.settings == Settings(enable=False)
+    flight._close()
+    missing = f"there is no folder {folder.parent}; mount its disk"
+    assert any("switched off until DMUCA_ENABLE is set to 1" in line and missing in line for line in said)
+    assert flight._signing.unread is not None
+    assert missing in flight._signing.unread
+    made = msgspec.structs.replace(made, vehicle=msgspec.structs.replace(made.vehicle, signing_key=None))
+    flight = Flight(made, said.append, dry_run=False)
+    flight.radio = Radio()
+    fly(flight, lambda: until(heard_of(said, "not recording: record.folder")))
+    assert heard_of(said, missing)()
+    assert not folder.parent.exists()
 
 
 def test_what_is_stored_does_not_depend_on_the_folder_of_the_start(tmp_path, monkeypatch):

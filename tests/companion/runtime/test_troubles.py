@@ -242,11 +242,17 @@ def test_a_signing_time_that_cannot_be_kept_ends_no_flight(flight_to, said, unti
     pilot = Listening()
     pilot._wrap = vehicle.sign
     flight = flight_to(pilot, key=key)
-    words = {"DMUCA: signing time cannot be saved to disk", "DMUCA: the last signing time is unknown"}
+    flight._signing.wrong_clock = "the clock's trouble"
+    words = {
+        "DMUCA: signing time cannot be saved to disk",
+        "DMUCA: the last signing time is unknown",
+        "DMUCA: the clock for signing is wrong",
+    }
     fly(flight, lambda: until(lambda: words <= set(pilot.texts)), goes_on(flight, until))
     pilot.end()
     assert heard_of(said, f"signing time not saved: {tmp_path}/runs: cannot be written: File exists")()
-    assert heard_of(said, "signing-timestamp: cannot be read: Not a directory; signing starts at")()
+    assert heard_of(said, "signing-timestamp: cannot be read: Not a directory; the flight continues")()
+    assert heard_of(said, "signing: the clock's trouble; the flight continues")()
 
 
 # ---------------------------------------------------------------- clocks

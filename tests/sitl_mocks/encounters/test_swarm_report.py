@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from companion import event_record
+from companion.config import Config, IdentityConfig
 from sitl_mocks.air.pair_statistics import PairStats
 from sitl_mocks.encounters import swarm_report
 from sitl_mocks.encounters.scenario_file import DEFAULT
@@ -102,6 +104,22 @@ def test_a_pair_that_came_near_between_two_rows_has_failed(flight):
     report = flight.report()
     assert report["min_separation_m"] < 1.0
     failed(report, "came within 10 m")
+
+
+def test_a_record_that_is_cut_off_has_failed(flight):
+    """What it does not hold may be what the aircraft did not hear."""
+    header = event_record.Header(
+        aircraft="A", software="x", config=Config(identity=IdentityConfig(uas_id="A"))
+    )
+    step = event_record.Step(now_s=1.0, events=(), commands=())
+    record = event_record.MAGIC + event_record.encode(header) + event_record.encode(step)
+    file = flight.folder / "20260101T000000Z-A" / "A.events"
+    file.parent.mkdir()
+    file.write_bytes(record)
+    assert flight.report()["ok"]
+    file.write_bytes(record[:-5])
+    left = len(event_record.encode(step)) - 5
+    failed(flight.report(), f"A: its record is cut off; its last {left} bytes are not a whole record")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

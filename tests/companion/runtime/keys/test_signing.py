@@ -11,14 +11,14 @@ import msgspec
 import pytest
 
 from companion import config as configuration
-from companion.autopilot.signing import TICKS_PER_S, timestamp_at
+from companion.autopilot.signing import EPOCH_S, LATEST, TICKS_PER_S, timestamp_at
 from companion.commands.check import _vehicle
 from companion.commands.preflight import Preflight
 from companion.config import Config, IdentityConfig, RecordConfig, VehicleConfig
 from companion.errors import ConfigError
 from companion.runtime import signing_key
 from companion.runtime.record import disk
-from companion.runtime.signing_key import PERIOD_S, TIMESTAMP_FILE, KeptSigning, read_key
+from companion.runtime.signing_key import PERIOD_S, PLAUSIBLE_UTC_S, TIMESTAMP_FILE, KeptSigning, read_key
 
 RAW = bytes(range(100, 132))
 DIGITS = "d4ee003d187614d9ffa24d20f58b448551c2cdc1e54cf42fc00bb86182249126"
@@ -184,6 +184,53 @@ def test_a_restart_with_a_wrong_clock_never_goes_back(config, clock):
         assert stamps[0] > last
         last = stamps[-1]
         # Killed: nothing is written at its end.
+
+
+@pytest.mark.parametrize("utc_s", [PLAUSIBLE_UTC_S, EPOCH_S + LATEST / TICKS_PER_S, 1e11])
+def test_a_clock_after_2100_is_neither_used_nor_stored_and_told(config, clock, tmp_path, utc_s):
+    """Signed with the last timestamp, or near it, no frame of ours would ever again be newer."""
+    path = tmp_path / "runs" / TIMESTAMP_FILE
+    good_s, clock.utc_s = clock.utc_s, utc_s
+    kept = KeptSigning(config)
+    stamps = used(kept)
+    assert stamps == sorted(set(stamps))
+    assert stamps[-1] < timestamp_at(good_s)
+    assert kept.wrong_clock is not None
+    kept.close()
+    assert int(path.read_text()) == stamps[-1]
+    clock.utc_s = good_s
+    kept = KeptSigning(config)
+    assert kept.wrong_clock is None
+    assert timestamp_at(good_s) < used(kept)[0] < timestamp_at(good_s + 60.0)
+    kept.close()
+    stored = int(path.read_text())
+    clock.utc_s = utc_s
+    kept = KeptSigning(config)
+    assert stored < used(kept)[0] < stored + 60 * TICKS_PER_S
+    kept.close()
+    found = Preflight()
+    _vehicle(msgspec.structs.replace(config, vehicle=unreachable(config.vehicle)), found)
+    told = [finding.line() for finding in found.findings]
+    assert any(line.startswith("red") and "clock is later than the year 2100" in line for line in told)
+
+
+@pytest.mark.parametrize("text", [f"{timestamp_at(PLAUSIBLE_UTC_S)}\n", f"{LATEST - 10**7}\n"])
+def test_a_stored_timestamp_after_2100_is_not_used(config, clock, tmp_path, text):
+    path = tmp_path / "runs" / TIMESTAMP_FILE
+    path.parent.mkdir()
+    path.write_text(text)
+    kept = KeptSigning(config)
+    assert used(kept)[0] == timestamp_at(clock.utc_s) + 1
+    assert kept.unread == f"{path}: damaged"
+
+
+def test_a_time_of_the_vehicle_after_2100_is_followed_but_not_stored(config, clock, tmp_path):
+    kept = KeptSigning(config)
+    before = int((tmp_path / "runs" / TIMESTAMP_FILE).read_text())
+    kept.signing.timestamp = timestamp_at(PLAUSIBLE_UTC_S)
+    kept.close()
+    assert int((tmp_path / "runs" / TIMESTAMP_FILE).read_text()) == before
+    assert "later than the year 2100" in kept.error
 
 
 def test_what_a_killed_process_used_after_its_last_write_is_not_used_again(config, clock):

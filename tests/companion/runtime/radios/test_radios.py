@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import pytest
 
 from companion.config import Config, IdentityConfig
@@ -29,6 +31,7 @@ class Fake:
         self.ok, self.closed = True, False
         self.sent, self.configured, self.inbox = [], [], []
         self.refusal = None
+        self.refuses = ()
 
     def configure(self, rates, *, probe=False):
         if self.refusal is not None:
@@ -38,6 +41,8 @@ class Fake:
         return (f"{'would set' if probe else 'set'} {sorted(rates)}",)
 
     def broadcast(self, transport, messages, now_s):
+        if transport in self.refuses:
+            raise ValueError("cannot be encoded")
         self.sent.append((transport, messages))
 
     def heard(self, now_s):
@@ -91,6 +96,67 @@ def test_each_transport_is_sent_by_the_first_radio_that_can_now(opened):
     assert [t for t, _ in second.sent] == ["wifi", "ble4"]
     with pytest.raises(ValueError, match="nan"):
         both.broadcast("nan", MESSAGES, 0.0)
+
+
+def told(both, transport, period_s, until_s, begin_s=0.0):
+    """Broadcast as the core does: only on what can send. Times at which the state changed, and what it is."""
+    changes, can_send, now_s, due_s = [], (), begin_s, begin_s
+    while now_s < until_s:
+        for event in both.events(now_s):
+            can_send = event.can_send
+            changes.append((round(now_s - begin_s, 2), can_send, event.text))
+        if now_s >= due_s and transport in can_send:
+            due_s = now_s + period_s
+            with contextlib.suppress(ValueError):
+                both.broadcast(transport, MESSAGES, now_s)
+        now_s += 0.05
+    return changes
+
+
+@pytest.mark.parametrize("period_s", [0.1, 0.2, 0.8, 1.0])
+def test_a_transport_on_which_everything_is_refused_cannot_send_until_it_works_again(opened, period_s):
+    """Otherwise it would count as on the air, with its rate."""
+    radio = Fake(("ble4", "wifi"))
+    alone = opened(radio)
+    radio.refuses = ("wifi",)
+    changes = told(alone, "wifi", period_s, 30.0)
+    assert changes[0] == (0.0, ("ble4", "wifi"), "")
+    after_s, can_send, text = changes[1]
+    assert after_s <= 1.1
+    assert can_send == ("ble4",)
+    assert text == "fine; refuses all broadcasts on wifi"
+    able = [at_s for at_s, can_send, _ in changes[1:] if "wifi" in can_send]
+    assert 10 < len(able) < 16, "it is tried again, but not all the time"
+    radio.refuses = ()
+    changes = told(alone, "wifi", period_s, 40.0, begin_s=30.0)
+    assert len(changes) <= 1
+    assert radio.sent
+    assert alone.state(40.0).can_send == ("ble4", "wifi")
+    assert alone.health(40.0).ok
+
+
+def test_one_refused_message_of_many_is_no_refusal_of_all(opened):
+    radio = Fake(("wifi",))
+    alone = opened(radio)
+    for step in range(100):
+        radio.refuses = ("wifi",) if step % 2 else ()
+        with contextlib.suppress(ValueError):
+            alone.broadcast("wifi", MESSAGES, 0.1 * step)
+        assert alone.health(0.1 * step).ok
+    radio.refuses = ("wifi",)
+    for now_s in (100.0, 200.0, 300.0):
+        with pytest.raises(ValueError, match="encoded"):
+            alone.broadcast("wifi", MESSAGES, now_s)
+        assert alone.health(now_s).ok
+
+
+def test_what_one_radio_refuses_another_sends(opened):
+    first, second = Fake(("wifi",)), Fake(("wifi",))
+    both = opened(first, second)
+    first.refuses = ("wifi",)
+    told(both, "wifi", 0.2, 3.0)
+    assert both.state(1.5).can_send == ("wifi",)
+    assert second.sent
 
 
 def test_each_radio_is_configured_for_what_it_will_send(opened):

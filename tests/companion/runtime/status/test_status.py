@@ -227,6 +227,12 @@ def test_what_a_terminal_shows():
         assert words in shown, words
 
 
+def test_a_rate_that_the_region_raises_is_shown_as_it_is_sent():
+    console = Console(width=150, record=True, file=io.StringIO())
+    console.print(render(msgspec.structs.replace(STATUS, sent_per_s={"wifi": 6.67})))
+    assert "on the air: wifi 2/s chosen, 6.67/s sent; frames sent" in console.export_text()
+
+
 def test_what_goes_wrong_with_the_disk_is_shown_once_each():
     status = msgspec.structs.replace(
         STATUS,
