@@ -16,6 +16,8 @@ from companion.runtime.record.disk import replace_file
 
 _MOST_BYTES = 4096
 _CLOSE_S = 5.0
+_NO_FILE = (FileNotFoundError, NotADirectoryError)
+"""Errors that prove that no settings are stored. Any other one may hide that the companion was switched off."""
 
 
 def settings_path(config: Config) -> Path:
@@ -34,7 +36,7 @@ def read_settings(config: Config) -> Settings:
     try:
         with path.open("rb") as file:
             stored = msgspec.json.decode(file.read(_MOST_BYTES), type=Settings)
-    except FileNotFoundError:
+    except _NO_FILE:
         return Settings()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
@@ -78,7 +80,7 @@ def _enabled(config: Config) -> bool:
     try:
         with settings_path(config).open("rb") as file:
             return msgspec.json.decode(file.read(_MOST_BYTES), type=_Switch).enable
-    except FileNotFoundError:
+    except _NO_FILE:
         return True
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return False
