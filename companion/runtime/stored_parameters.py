@@ -17,7 +17,7 @@ from companion.runtime.record.disk import replace_file
 _MOST_BYTES = 4096
 _CLOSE_S = 5.0
 _NO_FILE = (FileNotFoundError, NotADirectoryError)
-"""Errors that prove that no settings are stored. Any other one may hide that the companion was switched off."""
+"""Errors that prove that no settings are stored. Others may hide that the companion was switched off."""
 
 
 def settings_path(config: Config) -> Path:
