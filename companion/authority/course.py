@@ -86,11 +86,16 @@ class Course:
 
     def follow_home(self, own: Ownship) -> float:
         """Take over the vehicle's home if it has moved: a pilot may set it in flight, and PX4 corrects its
-        altitude after take-off. Returns how far the flight's home has risen (m)."""
+        altitude after take-off. The heights of the path stay where they are, so they are counted from the new
+        one. Returns how far the flight's home has risen (m)."""
         home = own.home_alt_msl_m
         if home is None or abs(home - self.home_alt_msl_m) <= HOME_MOVED_M:
             return 0.0
         risen_m, self.home_alt_msl_m = home - self.home_alt_msl_m, home
+        self.lowest_height_m -= risen_m
+        self.heights_m = tuple(height_m - risen_m for height_m in self.heights_m)
+        times, heights = self._profile
+        self._profile = times, [height_m - risen_m for height_m in heights]
         return risen_m
 
     def own_height_m(self, own: Ownship) -> float:

@@ -66,8 +66,8 @@ class GuardPlan:
         """Mission item at the last call of `watch`."""
         self._mark: tuple[int, int] | None = None
         """Mission mark (`Ownship.mission_mark`) at the last call of `watch`."""
-        self._led: tuple[tuple[MissionItem, ...], int | None] = (), None
-        """Mission and item number to which the path leads."""
+        self._led: tuple[tuple[MissionItem, ...], int | None, float] | None = None
+        """Mission, item number and home altitude to which the path leads; None if the mission was unknown."""
         self._speed_mps = 0.0
         """Speed of the vehicle when it was taken."""
         self._held_s, self._leg_m = -math.inf, (0.0, 0.0)
@@ -182,18 +182,19 @@ class GuardPlan:
 
         Returns requests. Needs a law.
         """
-        moved = self._follow_home(own)
-        if not self._stale and (moved or self._led != (self._flown, own.mission_seq)):
+        self._follow_home(own)
+        if not self._stale and self._led != self._leads_to(own):
             self._follow(own, now_s)
         self._held_s, self._leg_m = now_s, self.course.leg_heights_m(now_s) or self._leg_m
         return self._fetch(now_s)
 
-    def _follow_home(self, own: Ownship) -> bool:
-        """Take over a home that has moved: the autopilot's mission counts heights from it. Returns whether it
-        has."""
+    def _follow_home(self, own: Ownship) -> None:
+        """Take over a home that has moved: the autopilot's mission counts heights from it."""
         risen_m = self.course.follow_home(own)
         self._leg_m = self._leg_m[0] - risen_m, self._leg_m[1] - risen_m
-        return risen_m != 0.0
+
+    def _leads_to(self, own: Ownship) -> tuple[tuple[MissionItem, ...], int | None, float]:
+        return self._flown, own.mission_seq, self.course.home_alt_msl_m
 
     def _follow(self, own: Ownship, now_s: float) -> None:
         assert self.course.law is not None
@@ -216,7 +217,7 @@ class GuardPlan:
         places = [] if self._stale else self._places(own)
         around = [] if self._stale or own.takeoff is None else [self._ned(_takeoff(own.takeoff), own)]
         self.course.lead([*around, *(self._ned(p, own) for p in places)], [p[2] for p in places], profile)
-        self._led = ((), None) if self._stale else (self._flown, own.mission_seq)
+        self._led = None if self._stale else self._leads_to(own)
 
     def near(self, own: Ownship, now_s: float) -> bool:
         """Return True: the path begins at the vehicle."""

@@ -32,9 +32,10 @@ _STAMPS = 8
 """Number of remembered position timestamps. This many ground stations may repeat their positions. If a clock
 is set back by this many seconds, it has passed its old timestamps within `OPERATOR_FRESH_S`."""
 _ALTITUDES = (-999.5, 31767.5)
-_HOME_MOVED_M = 1.0
+_HOME_MOVED_M = 10.0
 """If the altitudes of home and of the take-off differ by more than this, home was set anew. Heights are then
-above the take-off."""
+above the take-off. A smaller difference may be PX4's correction of a GNSS altitude that has drifted since the
+take-off: then the height above home is right, and the altitude is not."""
 _UTC = (1_546_300_801.0, 1_546_300_800.0 + 2**32 - 1)
 """Range of a System timestamp, from 2019 on."""
 

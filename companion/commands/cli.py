@@ -132,7 +132,7 @@ def _run(arguments: argparse.Namespace) -> int:
         print(line, flush=True)
 
     config = configuration.load(arguments.config)
-    # A dry run commands and broadcasts nothing, so it may run beside a flight.
+    # A dry run commands and broadcasts nothing, so it may run beside a flight, under another component id.
     with contextlib.nullcontext() if arguments.dry_run else claimed(config, say):
         Flight(config, say, dry_run=arguments.dry_run).run()
     return 0

@@ -163,6 +163,8 @@ def run(arguments: argparse.Namespace) -> int:
         # service reads a file of root's.
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
         with open(os.open(path, flags, 0o640), "w", encoding="utf-8") as file:
+            # A file that is replaced keeps its mode.
+            os.fchmod(file.fileno(), os.fstat(file.fileno()).st_mode & 0o770)
             file.write(text)
     except OSError as error:
         raise ConfigError(f"--out: {path}: cannot be written: {error.strerror}") from error

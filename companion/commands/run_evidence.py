@@ -242,7 +242,7 @@ def _of_the_pair(seen: Seen) -> list[Check]:
 
 def _of_any_run(seen: Seen, config: Config) -> list[Check]:
     s = seen.summary
-    same = msgspec.to_builtins(seen.header.config) == msgspec.to_builtins(config)
+    same = _without_folder(seen.header.config) == _without_folder(config)
     dropped = s.get("records_dropped"), s.get("recorder_error")
     behind = seen.behind / max(1, seen.steps)
     losses = s.get("link_losses")
@@ -269,6 +269,13 @@ def _of_any_run(seen: Seen, config: Config) -> list[Check]:
         _check("Remote ID asked of the radios", sent, "something" if law else "anything (no region)",
                bool(seen.broadcasts) or not law),
     ]  # fmt: skip
+
+
+def _without_folder(config: Config) -> Any:
+    """A configuration without record.folder, which is another path in the service than for a user who judges
+    its runs."""
+    record = msgspec.structs.replace(config.record, folder="")
+    return msgspec.to_builtins(msgspec.structs.replace(config, record=record))
 
 
 def _of_authority(stage: Stage, seen: Seen) -> list[Check]:

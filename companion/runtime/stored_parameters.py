@@ -16,6 +16,8 @@ from companion.runtime.record.disk import not_mounted, replace_file
 
 _MOST_BYTES = 4096
 _CLOSE_S = 5.0
+_NO_FILE = (FileNotFoundError, NotADirectoryError)
+"""Errors that prove that no settings are stored. Others may hide that the companion was switched off."""
 
 
 def settings_path(config: Config) -> Path:
@@ -36,7 +38,7 @@ def read_settings(config: Config) -> Settings:
     try:
         with path.open("rb") as file:
             stored = msgspec.json.decode(file.read(_MOST_BYTES), type=Settings)
-    except FileNotFoundError:
+    except _NO_FILE:
         if absent is not None:
             raise ConfigError(f"{path}: {absent}") from None
         return Settings()
@@ -84,7 +86,7 @@ def _enabled(config: Config) -> bool:
     try:
         with settings_path(config).open("rb") as file:
             return msgspec.json.decode(file.read(_MOST_BYTES), type=_Switch).enable
-    except FileNotFoundError:
+    except _NO_FILE:
         return absent is None
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return False

@@ -50,10 +50,12 @@ def test_the_position_is_that_of_the_time_by_which_it_is_dated(
     assert location.height_m == pytest.approx(50.0 + 4.0 * dated_s)
 
 
-@pytest.mark.parametrize(("home_m", "height_m"), [(400.0, 50.0), (400.8, 49.2), (402.0, 50.0), (450.0, 50.0)])
+@pytest.mark.parametrize(("home_m", "height_m"), [(400.0, 50.0), (408.0, 42.0), (412.0, 50.0), (450.0, 50.0)])
 def test_the_height_is_above_the_take_off_if_home_is_set_in_flight(
     own: Ownship, home_m: float, height_m: float
 ) -> None:
+    """PX4 also moves home, by some metres, when the GNSS altitude has drifted since the take-off. Then the
+    height above home is right, and the altitude has drifted."""
     flying = own.position
     assert flying is not None
     ground = msgspec.structs.replace(flying, alt_msl_m=400.0, height_above_home_m=0.0)

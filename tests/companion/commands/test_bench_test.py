@@ -223,6 +223,16 @@ def test_a_pair_that_never_met_or_came_too_near(tmp_path: Path) -> None:
     assert failed(tmp_path) == ["configuration of the run", "limits.ceiling_height_m"]
 
 
+def test_a_run_of_the_service_is_judged_by_a_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = config_file(tmp_path, "watch")
+    path.write_text(path.read_text().replace(f'folder = "{tmp_path}"', 'folder = "runs"'))
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
+    run = Flown(path).run(12.0).landed().recorded(tmp_path / "run")
+    monkeypatch.delenv("STATE_DIRECTORY")
+    passed_before(tmp_path, "watch")
+    assert judged("watch", path, run, *CONFIRM["watch"]) == 0, failed(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("facts", "what"),
     [

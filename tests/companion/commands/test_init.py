@@ -126,6 +126,9 @@ def test_others_cannot_read_what_is_written(tmp_path):
     finally:
         os.umask(before)
     assert path.stat().st_mode & 0o777 == 0o640
+    path.chmod(0o664)
+    assert cli.main(["init", "--px4", "--out", str(path), "--force"]) == 0
+    assert path.stat().st_mode & 0o777 == 0o660
 
 
 def test_a_file_that_exists_is_kept(tmp_path, capsys):

@@ -89,6 +89,11 @@ def test_a_file_that_cannot_be_used_is_named_with_the_reason(config, content, wh
     assert why in found.findings[0].line()
 
 
+def test_a_file_in_the_place_of_the_folder_holds_no_settings(config):
+    settings_path(config).parent.write_text("no folder")
+    assert usable_settings(config, pytest.fail, pytest.fail) == Settings()
+
+
 def test_check_shows_what_is_set(config):
     found = Preflight()
     _settings(config, found)

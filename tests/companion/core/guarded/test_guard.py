@@ -154,6 +154,19 @@ def test_a_home_that_is_set_in_flight_moves_the_heights_of_the_mission(guarded, 
     assert course.boundary_down_m(80.0, own, bench.now_s) == pytest.approx(-50.0, abs=0.1)
 
 
+def test_a_home_that_is_set_while_the_mission_is_fetched_again_moves_its_heights_too(guarded):
+    bench = guarded()
+    known, bench.mission = bench.mission, None  # the vehicle does not answer
+    taken(bench)
+    bench.height_m = 30.0
+    bench.step(10)
+    bench.extra.append(MissionDownloaded(items=known))
+    bench.step(10)
+    course = bench.core.plan.course
+    assert course.law.trajectory.points_ned_m[-1][2] == pytest.approx(-20.0, abs=0.1)
+    assert course.lowest_height_m == pytest.approx(30.0, abs=0.5)  # the vehicle's own height
+
+
 def test_no_setpoint_before_it_is_taken(guarded):
     bench = guarded()
     meet(bench)
