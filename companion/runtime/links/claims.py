@@ -1,7 +1,8 @@
 """Claims of the own aircraft and of its link: a second companion on this computer refuses to fly them.
 
 A serial port and a `udpin` address have one user. Two companions on one `udpout` or `tcp` address would both
-command the vehicle, as would two that reach one aircraft by different links. A claim is a socket in Linux's
+command the vehicle, as would two that reach one aircraft by different links. Vehicles of different system ids
+may share the address of a router. A claim is a socket in Linux's
 abstract namespace. It counts for all users, folders and private temporary folders of a computer, and needs no
 disk. The kernel releases it when the process ends in any way, so a crash never prevents a restart.
 """
@@ -43,7 +44,8 @@ def claimed(config: Config, say: Callable[[str], None]) -> Iterator[None]:
             if endpoint is not None:
                 claims.enter_context(
                     _claim(
-                        f"link {endpoint}", f"vehicle.link: {config.vehicle.link}: another companion uses it"
+                        f"link {endpoint} system {config.vehicle.system_id}",
+                        f"vehicle.link: {config.vehicle.link}: another companion uses it",
                     )
                 )
             name = config.identity.name
