@@ -102,8 +102,9 @@ class Control:
         """Earliest time at which a fault may end."""
         self._left = False
         """The pilot has left the mode whose selection gives us authority."""
-        self._obeyed_until_s = -math.inf
-        """Time until which that mode may be shown because of a request of ours."""
+        self._obeyed_until_s = self._seen_s = -math.inf
+        """Time until which the vehicle may obey a request of ours, and time of its heartbeat before the
+        reports being judged: what changed in a silence may have changed at its beginning."""
 
     @property
     def in_control(self) -> bool:
@@ -202,6 +203,8 @@ class Control:
             self._standstill.see(heartbeat.mode)
         commands = self._move(now_s, self._triggers(now_s, shown, ended, in_time), unfit=ended)
         self._refused = Refused()
+        if self.state is State.FAULT and self._modes.entered_late:
+            commands += self._let_go(Trigger.UNFIT)
         return commands
 
     def _watch(self, now_s: float, cycle: Cycle, commands: list[Command]) -> None:
@@ -282,7 +285,7 @@ class Control:
             found[Trigger.RELEASE] = None
         if now_s >= self._healthy_s:
             found[Trigger.HEALTHY] = None
-        if self._authority_given_again(now_s, shown):
+        if self._authority_given_again(shown):
             found[Trigger.REARM] = None
         standing_by = self.state is State.STANDBY and self._plan.ready and in_time
         ready = standing_by and self._readiness.waits_for(now_s, self._modes.left_in) is None
@@ -297,7 +300,7 @@ class Control:
             found[Trigger.LEFT] = None
         return found
 
-    def _authority_given_again(self, now_s: float, shown: Sequence[Heartbeat]) -> bool:
+    def _authority_given_again(self, shown: Sequence[Heartbeat]) -> bool:
         """Whether the pilot gives authority again.
 
         With `rearm = "disarm"` disarming does so. With "mode" the pilot must have left the mode that gives
@@ -306,8 +309,9 @@ class Control:
         rearm = self._config.flight.rearm
         gives = FlightMode.EXTERNAL if self._handback is None else FlightMode.MISSION
         self._left = self._left or any(heartbeat.mode is not gives for heartbeat in shown)
-        if self._own.mode is gives and now_s < self._obeyed_until_s:
+        if self._own.mode is gives and self._seen_s < self._obeyed_until_s:
             self._left = False
+        self._seen_s = self._own.heartbeat_s
         if rearm == "disarm":
             return self._readiness.disarmed
         return rearm == "mode" and self._left and self._own.mode is gives

@@ -49,6 +49,12 @@ class OurModes:
         """Whether our mode has been requested and not been reported yet."""
         return self._stream_s is None and not self.confirmed
 
+    @property
+    def entered_late(self) -> bool:
+        """Whether the vehicle has entered our mode after a fault gave up the request for it."""
+        given_up = FlightMode.EXTERNAL in self.left_in and len(self.left_in) > 1
+        return given_up and self._own.mode is FlightMode.EXTERNAL and FlightMode.HOLD not in self.left_in
+
     def keep(self, now_s: float) -> list[Command]:
         """Get the vehicle into our mode, and keep it there, while setpoints stream. Returns requests."""
         if self._own.mode is FlightMode.EXTERNAL:
@@ -138,7 +144,9 @@ class LateRequests:
         """custom_mode of the vehicle at these requests."""
         self._chosen: Heartbeat | None = None
         """Latest mode that the pilot or a failsafe has selected since."""
-        self._chosen_s = -math.inf
+        self._chosen_s = self._seen_s = -math.inf
+        """When it was reported, and when the vehicle was last heard before the reports being judged: what
+        changed in a silence may have changed at its beginning."""
         self._told = False
 
     def note(self, commands: Sequence[Command], now_s: float) -> None:
@@ -150,10 +158,11 @@ class LateRequests:
 
     def judge(self, shown: Sequence[Heartbeat], now_s: float) -> list[Command]:
         """Take in the reported modes, in the order of arrival. Returns messages and requests."""
-        over = self._chosen is not None and now_s - self._chosen_s > _OBEYED_LATE_S
+        before_s, self._seen_s = self._seen_s, self._own.heartbeat_s
+        over = self._chosen is not None and before_s - self._chosen_s > _OBEYED_LATE_S
         if over or not all(heartbeat.armed for heartbeat in shown):
             self._asked.clear()
-        self._asked = {mode: at_s for mode, at_s in self._asked.items() if now_s - at_s <= _OBEYS_S}
+        self._asked = {mode: at_s for mode, at_s in self._asked.items() if before_s - at_s <= _OBEYS_S}
         if not self._asked:
             self._from.clear()
             self._chosen, self._told = None, False
@@ -180,9 +189,10 @@ class LateRequests:
         name = dialect.name(chosen.custom_mode)
         command = dialect.commands.get(chosen.mode)
         can_ask = command is not None and command.custom_mode == chosen.custom_mode
-        asks = can_ask and chosen.mode in self._askable
+        # After a silence he may have selected our mode himself.
+        asks = can_ask and chosen.mode in self._askable and now_s - self._chosen_s <= _OBEYED_LATE_S
         then = "is requested again" if asks else "must be selected again"
-        text = f"DMUCA: {dialect.name(custom)} entered late, by our request from before {name}: {name} {then}"
+        text = f"DMUCA: {dialect.name(custom)} entered after {name}, by our earlier request: {name} {then}"
         said = Say(severity=Severity.WARNING, text=text)
         return [said, SetMode(mode=chosen.mode)] if asks else [said]
 

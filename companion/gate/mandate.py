@@ -144,7 +144,7 @@ class Mandate:
 
     def hear_mode(self, custom: int, mode: FlightMode, now_s: float) -> None:
         """Take in one reported mode. Call this in the order in which the vehicle reported them."""
-        before, before_custom = self._mode, self._custom
+        before, before_custom, before_s = self._mode, self._custom, self._mode_s
         self._mode, self._custom, self._mode_s = mode, custom, now_s
         if not self.lost:
             self._waits_s.pop(custom, None)
@@ -153,7 +153,8 @@ class Mandate:
         if self.lost:
             self._held_instead = self._held_instead and mode is FlightMode.HOLD
             self._perhaps_held = self._perhaps_held and (custom in self._ours or custom == self._base)
-            late = custom != self._chosen and now_s - self._waits_s.get(custom, -math.inf) <= _LATE_S
+            # A mode that changed in a silence may have changed at its beginning.
+            late = custom != self._chosen and before_s - self._waits_s.get(custom, -math.inf) <= _LATE_S
             self._obeyed_late = late or (self._obeyed_late and custom == before_custom)
             if self._obeyed_late:
                 self._left = self._left and not given

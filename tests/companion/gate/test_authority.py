@@ -301,6 +301,26 @@ def test_a_request_that_is_obeyed_after_the_pilots_choice_gives_nothing_back(use
 
 
 @BOTH
+@USES
+def test_what_was_obeyed_in_a_silence_gives_nothing_back(use, firmware):
+    """It may have happened at the beginning of the silence."""
+    one = Flying(config(use, rearm="mode"), firmware).airborne(MISSION)
+    given = EXTERNAL
+    if use == "guard":
+        assert one.asks(EXTERNAL)
+        one.beat(EXTERNAL)
+        one.run()
+        given = MISSION
+    assert one.asks(given)
+    one.beat(STICKS)
+    one.run(0.3)
+    one.now_s += 10.0
+    one.beat(given)
+    one.run(1.0)
+    assert one.gate.lost is not None
+
+
+@BOTH
 @REARM
 def test_a_handback_that_is_obeyed_after_the_pilots_choice_gives_nothing_back(firmware, rearm):
     one = flying("guard", firmware, rearm=rearm)

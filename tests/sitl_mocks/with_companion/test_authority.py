@@ -11,6 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.authority.table import HOLDING, State
+from companion.autopilot.dialect import DIALECTS
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
@@ -64,6 +65,37 @@ def test_a_mode_that_a_ground_station_commands(firmware):
     assert one.vehicle.mode is VehicleMode.RTL
     name = "RTL" if firmware is ARDUPILOT else "AUTO.RTL"
     assert f"DMUCA yielded: mode changed to {name}, not by the companion" in one.texts()
+
+
+@BOTH
+@pytest.mark.parametrize(("mode", "restored"), [(VehicleMode.HOLD, True), (VehicleMode.RTL, False)])
+def test_a_request_that_is_obeyed_after_the_pilots_choice(firmware, mode, restored):
+    """It is 0.2 s on its way. His mode is requested again through link and gate if it can be requested."""
+    sky = head_on(firmware)
+    one, late = sky.aircraft[0], []
+    receive, external = one.vehicle.receive, DIALECTS[firmware].command(FlightMode.EXTERNAL)
+
+    def slow(data, now_s, *link):
+        asked = [m for m in MavlinkReader().feed(data) if m.get_type() == "COMMAND_LONG"]
+        if not late and any(m.command == 176 and m.param2 == external.param2 for m in asked):
+            late.append((now_s + 0.2, data))
+            one.vehicle.pilot_selects(mode)
+            return
+        if late and late[0] is not None and now_s > late[0][0]:
+            receive(late[0][1], now_s)
+            late[0] = None
+        receive(data, now_s, *link)
+
+    one.vehicle.receive = slow
+    sky.until(lambda: late == [None])
+    ours = "GUIDED" if firmware is ARDUPILOT else "OFFBOARD"
+    sky.run(3.0)
+    assert one.state is State.YIELDED
+    said = one.texts()[-1]
+    assert said.startswith(f"DMUCA: {ours} entered after ")
+    assert said.endswith("is requested again" if restored else "must be selected again")
+    assert not restored or one.vehicle.mode is mode
+    assert not one.onboard.gate.counts
 
 
 @pytest.mark.parametrize(

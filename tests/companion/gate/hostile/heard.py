@@ -138,7 +138,7 @@ class Heard:
         self.turn += 1
         if now_s - self.emptied_s <= 0.25 and not self.late(now_s):
             self.mode_turn = self.turn
-        before, self.custom, self.mode_s = self.custom, custom, now_s
+        before, before_s, self.custom, self.mode_s = self.custom, self.mode_s, custom, now_s
         kind = self.kinds.get(custom, "other")
         guard = self.terms.use == "guard"
         gives = kind == ("mission" if guard else "external")
@@ -146,7 +146,7 @@ class Heard:
             self.open.pop(custom, None)
         if self.gone:
             self.ended_by_hold &= kind == "hold"
-            late = custom != self.chosen and now_s - self.open.get(custom, -math.inf) <= 3.0
+            late = custom != self.chosen and before_s - self.open.get(custom, -math.inf) <= 3.0
             self.overruled = late or (self.overruled and custom == before)
             if self.overruled:
                 self.away &= not gives
