@@ -340,14 +340,22 @@ def explore(configured: Config, firmware: Firmware, mandate_type: type[Mandate] 
     return len(seen)
 
 
-@pytest.mark.parametrize("firmware", Firmware)
 @pytest.mark.parametrize("use", ["fly", "guard"])
-@pytest.mark.parametrize("rearm", ["mode", "disarm", "never"])
+@pytest.mark.parametrize(
+    ("rearm", "firmware"),
+    [
+        ("mode", Firmware.ARDUPILOT),
+        ("mode", Firmware.PX4),
+        ("disarm", Firmware.PX4),
+        ("never", Firmware.ARDUPILOT),
+    ],
+)
 def test_authority_is_gone_until_what_rearm_names(firmware, use, rearm):
     """All sequences, of any length, of 16 events: a report of one of five modes, armed or not; a request for
     one of four modes; a setpoint; a pause of 11 s. The other events take no time. Sequences that lead to the
-    same state are followed once: in all twelve cases 426 139 states, with 16 events in each. Other mode
-    numbers, the landed state and the end of a mission are not among the events.
+    same state are followed once. Other mode numbers, the landed state and the end of a mission are not among
+    the events. The firmwares differ in the numbers of their modes and in the hold that is a choice of the
+    pilot; so the rules that do not tell by a mode who has authority again are examined with one of them.
     """
     assert explore(config(use, rearm=rearm, take_in_flight=True), firmware) > 600
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 
+import msgspec
 import pytest
 
 from companion.commands import cli
@@ -50,6 +52,14 @@ def test_one_link_has_one_companion(link, same):
             pass
     with claim(config_of("B", f"{same}:{PORT}")):
         pass
+
+
+def test_vehicles_of_different_system_ids_may_share_the_address_of_a_router():
+    with contextlib.ExitStack() as held:
+        for number in (1, 2):
+            one = config_of(f"R{number}", f"udpout:127.0.0.1:{PORT}")
+            one = msgspec.structs.replace(one, vehicle=msgspec.structs.replace(one.vehicle, system_id=number))
+            held.enter_context(claim(one))
 
 
 def test_one_aircraft_has_one_companion_whatever_the_links():
