@@ -23,6 +23,8 @@ MAGIC = b"DMUCAEV4"
 configuration change shape."""
 _HEAD = struct.Struct("<II")
 _MAX_RECORD = 16 * 1024 * 1024
+_WRITER = "use the version that wrote it (manifest.json gives its number)"
+"""What helps with a record whose format or configuration this version refuses."""
 
 
 class Header(msgspec.Struct, frozen=True, tag=True, kw_only=True):
@@ -100,7 +102,8 @@ class Reader:
             try:
                 entry = _decoder.decode(body)
             except msgspec.DecodeError as error:
-                raise self._damaged(str(error)) from error
+                older = self._offset == len(MAGIC)
+                raise self._damaged(f"{error}; {_WRITER}" if older else str(error)) from error
             self._offset += _HEAD.size + len(body)
             yield entry
 
@@ -109,7 +112,7 @@ class Reader:
         if magic != MAGIC and magic[:-1] == MAGIC[:-1]:
             raise PeerDataError(
                 f"{self._name}: event record of format {magic[-1:]!r}; this version reads {MAGIC[-1:]!r}; "
-                "use the version that wrote it (manifest.json gives its number)"
+                f"{_WRITER}"
             )
         if magic != MAGIC:
             raise PeerDataError(f"{self._name}: not an event record (it does not begin with {MAGIC!r})")

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import io
 
+import msgspec
 import pytest
 
 from companion import event_record
-from companion.config import Config, IdentityConfig
+from companion.config import Config, IdentityConfig, TrafficConfig
 from companion.errors import PeerDataError
 from companion.events import FlightMode, GlobalPosition, SetMode, VelocitySetpoint
 
@@ -73,6 +74,13 @@ def test_another_file_is_refused_in_one_line():
 def test_a_record_of_another_version_is_told_apart():
     with pytest.raises(PeerDataError, match="format b'1'; this version reads b'4'"):
         list(event_record.read(io.BytesIO(b"DMUCAEV1" + b"\0" * 20), "old.events"))
+
+
+def test_a_configuration_that_is_refused_now_names_the_version_that_reads_it():
+    config = msgspec.structs.replace(HEADER.config, traffic=TrafficConfig(expire_after_s=120.0))
+    old = event_record.MAGIC + event_record.encode(msgspec.structs.replace(HEADER, config=config))
+    with pytest.raises(PeerDataError, match=r"expire_after_s`; use the version that wrote it \(manifest"):
+        read(old)
 
 
 def test_a_growing_file_is_read_on_from_where_it_stopped(tmp_path):
