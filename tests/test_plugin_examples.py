@@ -70,7 +70,7 @@ def test_the_policy_is_evaluated(run):
         "--policy",
         "plugin:quiet",
         "--samples",
-        "1",
+        "2",
         "--uavs",
         "3",
         "--json",

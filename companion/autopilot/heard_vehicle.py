@@ -61,14 +61,14 @@ class Vehicle:
         return words if self.refusal is None else f"{words}: {self.refusal}"
 
 
+@dataclass(slots=True)
 class NewestTime:
     """The newest time since boot that a vehicle's messages have shown."""
 
-    def __init__(self) -> None:
-        self.boot_s = -math.inf
-        """That time; minus infinity before the first message."""
-        self.heard_s = -math.inf
-        """Our monotonic time at which it arrived."""
+    boot_s: float = -math.inf
+    """That time; minus infinity before the first message."""
+    heard_s: float = -math.inf
+    """Our monotonic time at which it arrived."""
 
     def take(self, time_boot_s: float, now_s: float) -> Literal["current", "overtaken", "restarted"]:
         """Take a message with the vehicle's time since boot. "overtaken": the message is far older than one

@@ -14,20 +14,17 @@ listens on a loopback address that is drawn anew each time and that no other pag
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import http.client
 import importlib.util
 import os
 import re
 import secrets
 import shutil
-import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import TracebackType
@@ -42,7 +39,13 @@ _START_S = 20.0
 _STOP_S = 2.0
 """Time that a viewer gets to end when asked to. After that it is killed."""
 _POLL_S = 0.05
-_PR_SET_PDEATHSIG = 1
+_BIND = """
+import ctypes, os, signal, sys
+ctypes.CDLL(None).prctl(1, ctypes.c_ulong(signal.SIGKILL))  # PR_SET_PDEATHSIG
+if os.getppid() != int(sys.argv[1]):  # the parent ended before that took effect
+    os._exit(1)
+os.execv(sys.argv[2], sys.argv[2:])
+"""
 _LOOK_S = 0.2
 _ANSWER_S = 30.0
 MAP_TILES = "https://tile.openstreetmap.org"
@@ -82,13 +85,12 @@ class WebViewer:
         self.data_url = f"rerun+http://{host}:{data}/proxy"
         words = ["--bind", host, "--serve-web", "--port", str(data), "--web-viewer-port", str(page)]
         self._process = subprocess.Popen(
-            [program, *words],
+            [*_ending_with(os.getpid()), program, *words],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             # A separate session: Ctrl-C must not end the viewer before the stream that sends to it.
             start_new_session=True,
-            preexec_fn=_end_with(os.getpid()),
             # Rerun's process also reports each page view to the vendor, unless this variable is set.
             env={**os.environ, "CI": "1"},
         )
@@ -225,18 +227,14 @@ def _program() -> Path:
     return Path(found.origin).with_name("rerun")
 
 
-def _end_with(parent: int) -> Callable[[], None] | None:
-    """Return a function that makes a new child process end with its parent (Linux, prctl(2)); else None."""
+def _ending_with(parent: int) -> list[str]:
+    """Words before a command line, with which its process ends with its parent (Linux, prctl(2)).
+
+    A function between fork and exec (`preexec_fn`) would hang if another thread holds a lock at that moment.
+    """
     if not sys.platform.startswith("linux"):
-        return None
-    prctl = ctypes.CDLL(None).prctl
-
-    def bind() -> None:
-        prctl(_PR_SET_PDEATHSIG, ctypes.c_ulong(signal.SIGKILL))
-        if os.getppid() != parent:  # the parent ended before prctl() took effect
-            os._exit(1)
-
-    return bind
+        return []
+    return [sys.executable, "-I", "-S", "-c", _BIND, str(parent)]
 
 
 def _secret_loopback() -> str:
