@@ -14,7 +14,7 @@ def test_a_small_swarm_flies_and_ends_cleanly(start, tmp_path):
         "sitl_mocks.cli", "swarm", "--aircraft", "2", "--duration", "10", "--runs", tmp_path / "runs",
         "--policy", "rule", "--region", "config/regions/us.toml",
     )  # fmt: skip
-    assert swarm.process.wait(150) in (0, 1)
+    assert swarm.process.wait(PATIENCE_S) in (0, 1)
     (folder,) = (tmp_path / "runs").iterdir()
     report = json.loads((folder / "summary.json").read_text())
     assert report["ended_badly"] == []
@@ -49,7 +49,7 @@ def test_a_swarm_in_which_companions_stop_and_pilots_take_over_breaks_no_rule(st
         "sitl_mocks.cli", "swarm", "--aircraft", "2", "--duration", "14", "--faults", "--seed", "452",
         "--runs", tmp_path / "runs",
     )  # fmt: skip
-    code = swarm.process.wait(150)
+    code = swarm.process.wait(PATIENCE_S)
     (folder,) = (tmp_path / "runs").iterdir()
     report = json.loads((folder / "summary.json").read_text())
     assert report["ended_badly"] == []
