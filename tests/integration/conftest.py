@@ -33,7 +33,8 @@ class StalledError(AssertionError):
 def again_after_a_stall(test: Callable[..., None]) -> Callable[..., None]:
     """Let a test fly again, in an empty folder, as often as a stall of the machine prevents its flight.
 
-    Nothing else is tried again. The test says which companions must not stall.
+    Nothing else is tried again. The test says which companions must not stall. After a stall they must end
+    without an error.
     """
 
     @functools.wraps(test)
@@ -45,7 +46,7 @@ def again_after_a_stall(test: Callable[..., None]) -> Callable[..., None]:
             try:
                 test(start=start, tmp_path=folder, **others)
             except StalledError:
-                start.close()
+                start.end_flight()
                 if time.monotonic() > give_up_s:
                     raise
                 number += 1
@@ -79,9 +80,13 @@ class Child:
         return self.log.read_text()
 
     def check_stall(self) -> None:
-        """Raise StalledError if a process of the test reported a stall and must not stall."""
+        """Raise StalledError if a process of the test that must not stall reported a stall.
+
+        One that has ended with an error has not stalled.
+        """
         for child in self._siblings:
-            if child.must_not_stall and STALLED.search(child.output):
+            going = child.process.poll() in (None, 0)
+            if child.must_not_stall and going and STALLED.search(child.output):
                 raise StalledError(child.output)
 
     def wait_for(self, pattern: str) -> re.Match[str]:
@@ -125,11 +130,22 @@ class Start:
         self._children.append(Child(module, list(map(str, arguments)), log, self._children))
         return self._children[-1]
 
+    def end_flight(self) -> None:
+        """End the processes that must not stall, and then all others.
+
+        Raises:
+            AssertionError: one of those ended with an error.
+        """
+        for child in self._children:
+            if child.must_not_stall:
+                child.must_not_stall = False
+                assert child.end() == 0, child.output
+        self.close()
+
     def close(self) -> None:
         """Kill all that still run."""
         for child in self._children:
             child.close()
-            child.must_not_stall = False
 
 
 @pytest.fixture

@@ -47,6 +47,16 @@ def test_stalls_without_end_fail(start, tmp_path, monkeypatch):
         flown_with(start, tmp_path, StalledError())
 
 
+def test_a_stalled_companion_that_ends_with_an_error_fails_at_once(start, tmp_path):
+    companion = start("this.is.no.module")
+    assert companion.process.wait(conftest.PATIENCE_S) == 1
+    companion.must_not_stall = True
+    with pytest.raises(AssertionError, match="No module named"):
+        flown_with(start, tmp_path, StalledError())
+    companion.log.write_text(FAULT)
+    companion.check_stall()
+
+
 @pytest.mark.parametrize(
     ("said", "stalled"),
     [(FAULT, True), (STOPPED + OLD, True), (STOPPED, False), (OLD, False), (OLD + STOPPED, False)],
