@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import signal
 
-from tests.integration.conftest import PATIENCE_S
+from tests.integration.conftest import PATIENCE_S, STALLED, StalledError, again_after_a_stall
 from tests.support.waiting import until
 
 
+@again_after_a_stall
 def test_a_small_swarm_flies_and_ends_cleanly(start, tmp_path):
     swarm = start(
         "sitl_mocks.cli", "swarm", "--aircraft", "2", "--duration", "10", "--runs", tmp_path / "runs",
@@ -18,6 +19,8 @@ def test_a_small_swarm_flies_and_ends_cleanly(start, tmp_path):
     (folder,) = (tmp_path / "runs").iterdir()
     report = json.loads((folder / "summary.json").read_text())
     assert report["ended_badly"] == []
+    if any(STALLED.search(log.read_text()) for log in folder.glob("DMUCA*.log")):
+        raise StalledError
     assert len(report["setpoint_gaps"]) == 2
     assert all(gap["setpoints"] > 100 for gap in report["setpoint_gaps"].values())
     assert len(report["air"]) == 2
