@@ -136,10 +136,11 @@ class Start:
         Raises:
             AssertionError: one of those ended with an error.
         """
-        for child in self._children:
-            if child.must_not_stall:
-                child.must_not_stall = False
-                assert child.end() == 0, child.output
+        flown = [child for child in self._children if child.must_not_stall]
+        for child in flown:
+            child.must_not_stall = False  # the end of one looks at the others
+        for child in flown:
+            assert child.end() == 0, child.output
         self.close()
 
     def close(self) -> None:

@@ -57,6 +57,14 @@ def test_a_stalled_companion_that_ends_with_an_error_fails_at_once(start, tmp_pa
     companion.check_stall()
 
 
+def test_of_two_companions_that_stalled_both_are_ended(start, tmp_path):
+    for companion in (start("this"), start("this")):
+        assert companion.process.wait(conftest.PATIENCE_S) == 0
+        companion.log.write_text(FAULT)
+        companion.must_not_stall = True
+    assert flown_with(start, tmp_path, StalledError()) == ["0", "1"]
+
+
 @pytest.mark.parametrize(
     ("said", "stalled"),
     [(FAULT, True), (STOPPED + OLD, True), (STOPPED, False), (OLD, False), (OLD + STOPPED, False)],
