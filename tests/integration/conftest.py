@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import platform
 import re
@@ -11,18 +12,59 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 PATIENCE_S = 180.0
 """On an idle machine a process begins within two seconds, on a busy one it may take more than a minute."""
+AGAIN_S = 300.0
+"""Time from its beginning in which a test may begin to fly again. pytest ends it after twice as long."""
+STALLED = re.compile(
+    r"the program was stopped for(.|\n)* -> (fault|yielded)|-> fault: the control loop is late"
+)
+"""In a companion's log: the machine stood still for so long that the companion gave the vehicle back."""
+
+
+class StalledError(AssertionError):
+    """The flight cannot go on as the test needs it, because the machine stood still."""
+
+
+def again_after_a_stall(test: Callable[..., None]) -> Callable[..., None]:
+    """Let a test fly again, in an empty folder, as often as a stall of the machine prevents its flight.
+
+    Nothing else is tried again. The test says which companions must not stall. After a stall they must end
+    without an error.
+    """
+
+    @functools.wraps(test)
+    def flown(start: Start, tmp_path: Path, **others: Any) -> None:
+        give_up_s, number = time.monotonic() + AGAIN_S, 0
+        while True:
+            folder = tmp_path / str(number)
+            folder.mkdir()
+            try:
+                test(start=start, tmp_path=folder, **others)
+            except StalledError:
+                start.end_flight()
+                if time.monotonic() > give_up_s:
+                    raise
+                number += 1
+            else:
+                return
+
+    return flown
 
 
 class Child:
     """A process of ours with its output in a file."""
 
-    def __init__(self, module: str, arguments: list[str], log: Path) -> None:
+    must_not_stall = False
+    """Whether a stall that the process reports ends what the test waits for; see `again_after_a_stall`."""
+
+    def __init__(self, module: str, arguments: list[str], log: Path, siblings: list[Child]) -> None:
         self.log = log
+        self._siblings = siblings
         self._file = log.open("w")
         self.process = subprocess.Popen(
             [sys.executable, "-u", "-m", module, *arguments],
@@ -37,6 +79,16 @@ class Child:
         """Everything printed so far."""
         return self.log.read_text()
 
+    def check_stall(self) -> None:
+        """Raise StalledError if a process of the test that must not stall reported a stall.
+
+        One that has ended with an error has not stalled.
+        """
+        for child in self._siblings:
+            going = child.process.poll() in (None, 0)
+            if child.must_not_stall and going and STALLED.search(child.output):
+                raise StalledError(child.output)
+
     def wait_for(self, pattern: str) -> re.Match[str]:
         """Wait until the output matches."""
         end = time.monotonic() + PATIENCE_S
@@ -46,13 +98,17 @@ class Child:
                 return found
             if self.process.poll() is not None and not re.search(pattern, self.output):
                 break
+            self.check_stall()
             time.sleep(0.05)
         raise AssertionError(f"{pattern!r} never came; printed:\n{self.output}")
 
     def end(self, number: int = signal.SIGINT) -> int:
         """Send a signal and wait for the exit code."""
         self.process.send_signal(number)
-        return self.process.wait(PATIENCE_S)
+        code = self.process.wait(PATIENCE_S)
+        if code == 0:
+            self.check_stall()
+        return code
 
     def close(self) -> None:
         """Kill it if it still runs."""
@@ -62,19 +118,43 @@ class Child:
         self._file.close()
 
 
+class Start:
+    """Starts `python -m MODULE ARGUMENTS`."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._children: list[Child] = []
+
+    def __call__(self, module: str, *arguments: object) -> Child:
+        log = self._folder / f"child{len(self._children)}.log"
+        self._children.append(Child(module, list(map(str, arguments)), log, self._children))
+        return self._children[-1]
+
+    def end_flight(self) -> None:
+        """End the processes that must not stall, and then all others.
+
+        Raises:
+            AssertionError: one of those ended with an error.
+        """
+        flown = [child for child in self._children if child.must_not_stall]
+        for child in flown:
+            child.must_not_stall = False  # the end of one looks at the others
+        for child in flown:
+            assert child.end() == 0, child.output
+        self.close()
+
+    def close(self) -> None:
+        """Kill all that still run."""
+        for child in self._children:
+            child.close()
+
+
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[Callable[..., Child]]:
-    """Start `python -m MODULE ARGUMENTS`; ended with the test."""
-    children: list[Child] = []
-
-    def run(module: str, *arguments: str) -> Child:
-        child = Child(module, [str(a) for a in arguments], tmp_path / f"child{len(children)}.log")
-        children.append(child)
-        return child
-
-    yield run
-    for child in children:
-        child.close()
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Start a process, ended with the test."""
+    starts = Start(tmp_path)
+    yield starts
+    starts.close()
 
 
 class RootCanal:

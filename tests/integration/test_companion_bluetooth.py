@@ -13,6 +13,7 @@ from companion.events import BroadcastChanged, RadioState, RemoteIdHeard, Say
 from companion.radio.frames_io import radio_address
 from companion.radio.hci.hci_radio import HciTransport
 from companion.remote_id.messages import BasicId, Location, System
+from tests.integration.conftest import PATIENCE_S
 
 ROOT = Path(__file__).parents[2]
 SERIAL = "1596B0000DMUCA01"
@@ -49,7 +50,7 @@ def steps_of(tmp_path):
 def test_bluetooth_in_the_us_is_ble4_and_ble5_and_is_heard_back(config, start, tmp_path):
     path = config('["ble4"]', "listen = false", "send = false")
     checked = start("companion.commands.cli", "check", "--config", path)
-    assert checked.process.wait(60) == 0, checked.output
+    assert checked.process.wait(PATIENCE_S) == 0, checked.output
     assert (
         "remote ID: ble4 1.25/s, ble5 1.25/s (region us asks for ble5; "
         "region us asks for ble4 every 1 s, sent with a margin; "
@@ -60,7 +61,7 @@ def test_bluetooth_in_the_us_is_ble4_and_ble5_and_is_heard_back(config, start, t
     receiver = HciTransport(config.channel, "c2:00:00:00:00:01", send=False, listen=True)
     try:
         heard: list[RemoteIdHeard] = []
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + PATIENCE_S
         while time.monotonic() < end and not all(
             {type(m) for h in heard if h.transport == t for m in h.messages} >= {BasicId, Location, System}
             for t in ("ble4", "ble5")
@@ -88,5 +89,5 @@ def test_bluetooth_in_the_us_is_ble4_and_ble5_and_is_heard_back(config, start, t
 def test_a_controller_that_cannot_be_legal_is_refused_with_the_reason(config, start):
     path = config('["ble4"]', "send = false")
     checked = start("companion.commands.cli", "check", "--config", path)
-    assert checked.process.wait(60) == 1
+    assert checked.process.wait(PATIENCE_S) == 1
     assert "region us asks for wifi or ble4+ble5; the radio can send on nothing" in checked.output

@@ -18,7 +18,7 @@ from companion.autopilot.tlog import read_tlog
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter, mavlink, message_id_of
 from companion.commands import cli
 from companion.events import AuthorityChanged, Heartbeat, VelocitySetpoint
-from tests.integration.conftest import PATIENCE_S
+from tests.integration.conftest import PATIENCE_S, again_after_a_stall
 from tests.support.place import NORTHWARD
 from tests.support.waiting import until
 
@@ -43,7 +43,8 @@ def write_config(folder: Path, link: str, **flight: str) -> Path:
 class Station:
     """A ground station on the vehicle's second link."""
 
-    def __init__(self, vehicle):
+    def __init__(self, vehicle, companion):
+        self.companion = companion
         port = re.findall(r"link udpin:127\.0\.0\.1:(\d+)", vehicle.output)[1]
         self.writer = MavlinkWriter(255, 190)
         self.reader = MavlinkReader()
@@ -65,6 +66,7 @@ class Station:
     def wait_for(self, kind, good):
         end = time.monotonic() + PATIENCE_S
         while time.monotonic() < end:
+            self.companion.check_stall()
             try:
                 data = self.socket.recv(65536)
             except TimeoutError:
@@ -75,7 +77,7 @@ class Station:
 
 
 def fly(start, tmp_path, firmware):
-    """A vehicle in the air and a companion that holds it."""
+    """A vehicle in the air and a companion that holds it, and must not stall."""
     mode = "external" if firmware == "ardupilot" else "hold"
     vehicle = start(
         "sitl_mocks.cli", "serve", "--firmware", firmware, "--airborne", "50", "--mode", mode,
@@ -85,6 +87,7 @@ def fly(start, tmp_path, firmware):
     port = vehicle.wait_for(r"link udpin:127\.0\.0\.1:(\d+)").group(1)
     path = write_config(tmp_path, f"udpout:127.0.0.1:{port}")
     companion = start("companion.commands.cli", "run", "--config", path)
+    companion.must_not_stall = True
     companion.wait_for("standby -> guarding")
     return vehicle, companion
 
@@ -103,17 +106,24 @@ def count_setpoints(items):
     )
 
 
-def wait_for_setpoints(tmp_path, count):
+def wait_for_setpoints(tmp_path, count, companion):
     """Wait until as many are in the record: on a busy machine they come more slowly than at 20 Hz."""
-    until(lambda: count_setpoints(the_record(tmp_path)[1]) >= count, "setpoints", PATIENCE_S, pause_s=0.2)
+    until(
+        lambda: count_setpoints(the_record(tmp_path)[1]) >= count,
+        "setpoints",
+        PATIENCE_S,
+        meanwhile=companion.check_stall,
+        pause_s=0.2,
+    )
 
 
 @pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
+@again_after_a_stall
 def test_flies_and_ends_cleanly_leaving_the_vehicle_holding(start, tmp_path, firmware):
     vehicle, companion = fly(start, tmp_path, firmware)
     # The first may come right after the take-over; five seconds lie between them.
     companion.wait_for("vehicle mode external(?s:.*)vehicle mode external")
-    wait_for_setpoints(tmp_path, 120)
+    wait_for_setpoints(tmp_path, 120, companion)
     assert companion.end() == 0
     assert "asking the vehicle to hold" in companion.output
     assert vehicle.end() == 0
@@ -137,12 +147,13 @@ def test_flies_and_ends_cleanly_leaving_the_vehicle_holding(start, tmp_path, fir
 
 
 @pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
+@again_after_a_stall
 def test_kill_leaves_a_readable_record_and_the_vehicle_to_its_failsafe(start, tmp_path, firmware):
     vehicle, companion = fly(start, tmp_path, firmware)
     companion.wait_for("vehicle mode external")
-    with Station(vehicle) as station:
+    with Station(vehicle, companion) as station:
         station.wait_for("GLOBAL_POSITION_INT", lambda m: m.vx > 50)
-        wait_for_setpoints(tmp_path, 30)
+        wait_for_setpoints(tmp_path, 30, companion)
         assert companion.end(signal.SIGKILL) == -signal.SIGKILL
         if firmware == "ardupilot":
             # Brakes after GUID_TIMEOUT and stays in GUIDED.
@@ -157,14 +168,16 @@ def test_kill_leaves_a_readable_record_and_the_vehicle_to_its_failsafe(start, tm
 
 
 @pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
+@again_after_a_stall
 def test_a_companion_that_was_stopped_leaves_the_vehicle_to_its_failsafe_and_goes_on(
     start, tmp_path, firmware
 ):
     """Whatever stopped it for longer than its watchdog lets a loop hang: what is over is over."""
     vehicle, companion = fly(start, tmp_path, firmware)
     companion.wait_for("vehicle mode external")
-    with Station(vehicle) as station:
+    with Station(vehicle, companion) as station:
         station.wait_for("GLOBAL_POSITION_INT", lambda m: m.vx > 50)
+        companion.must_not_stall = False
         companion.process.send_signal(signal.SIGSTOP)
         if firmware == "ardupilot":
             station.wait_for("GLOBAL_POSITION_INT", lambda m: abs(m.vx) < 10)
@@ -191,7 +204,7 @@ def test_a_dry_run_leaves_the_vehicle_alone(start, tmp_path):
     companion = start("companion.commands.cli", "run", "--config", path, "--dry-run")
     companion.wait_for("standby -> guarding")
     companion.wait_for("tracks; radio")
-    wait_for_setpoints(tmp_path, 30)
+    wait_for_setpoints(tmp_path, 30, companion)
     assert companion.end() == 0
     assert vehicle.end() == 0
     left = json.loads(vehicle.output.splitlines()[-1])
@@ -261,12 +274,13 @@ def test_check_says_what_is_missing(start, tmp_path):
     assert "radio: none configured, and avoidance.law is none" in checked.output
 
 
+@again_after_a_stall
 def test_the_pilot_takes_over(start, tmp_path):
     """Another ground station's mode change ends the setpoints."""
     vehicle, companion = fly(start, tmp_path, "ardupilot")
     companion.wait_for("vehicle mode external")
-    wait_for_setpoints(tmp_path, 30)
-    with Station(vehicle) as station:
+    wait_for_setpoints(tmp_path, 30, companion)
+    with Station(vehicle, companion) as station:
         station.send(station.writer.encoder.command_long_encode(1, 1, 176, 0, 1, 5, 0, 0, 0, 0, 0))
         companion.wait_for("-> yielded: mode changed to LOITER, not by the companion")
     companion.wait_for("yielded; vehicle mode sticks")

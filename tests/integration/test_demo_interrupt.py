@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.integration.conftest import PATIENCE_S
 from tests.support.waiting import until
 
 
@@ -23,11 +24,11 @@ def running(pids: list[int]) -> list[int]:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_all_flights(start, number):
     demo = start("sitl_mocks", "demo", "--seeds", "1-20")
-    until(lambda: len(workers(demo.process.pid)) >= 2, "a second worker", 60.0)
+    until(lambda: len(workers(demo.process.pid)) >= 2, "a second worker", PATIENCE_S)
     # Let them begin to fly.
     time.sleep(3.0)
     flying = workers(demo.process.pid)
     assert demo.end(number) == 130
-    until(lambda: not running(flying), "the end of the workers", 60.0)
+    until(lambda: not running(flying), "the end of the workers", PATIENCE_S)
     assert "Interrupted" in demo.output
     assert "Traceback" not in demo.output

@@ -14,10 +14,10 @@ import pytest
 
 from ground_tools import cli
 from ground_tools.fly import command
+from tests.integration.conftest import PATIENCE_S
 from tests.support.place import HOME
 
 pytest.importorskip("mavsdk", reason="mavsdk is not installed")
-PATIENCE_S = 60.0
 PLAN = {
     "fileType": "Plan",
     "mission": {

@@ -16,10 +16,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.integration.conftest import STALLED
+
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "getting-started.md").read_text()
 PARTS = re.findall(r"Save this as `(\S+)`:\n\n```toml\n(.*?)```|((?:^    [^\n]*\n)+)", PAGE, re.S | re.M)
 PORTS = ("14640", "14540", "14541")
+PATIENCE_S = 500.0
 
 
 def script():
@@ -67,13 +70,6 @@ def test_the_page_has_what_is_followed():
     for command in ("serve", "ether", "check", "run", "status", "inspect"):
         assert f" {command} " in typed, command
     assert all(port in PAGE for port in PORTS)
-
-
-STALLED = re.compile(
-    r"the program was stopped for(.|\n)* -> (fault|yielded)|-> fault: the control loop is late"
-)
-"""In a companion's log: the machine stood still for so long that the companion gave the vehicle back."""
-PATIENCE_S = 500.0
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.radio.ether.ether_radio import EtherTransport
 from companion.radio.frames_io import radio_address
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
+from tests.integration.conftest import again_after_a_stall
 from tests.support.place import HOME
 
 GEOID_M = 47.0
@@ -148,6 +149,7 @@ def least(one, other):
 
 
 @pytest.mark.parametrize("guarded", ["ardupilot", "px4"])
+@again_after_a_stall
 def test_head_on_with_one_that_cooperates_and_one_that_does_not(start, tmp_path, guarded):
     flown = "px4" if guarded == "ardupilot" else "ardupilot"
     air = start("sitl_mocks.cli", "ether", "--listen", "127.0.0.1:0", "--delay", "0.2", "0.8")
@@ -167,7 +169,8 @@ def test_head_on_with_one_that_cooperates_and_one_that_does_not(start, tmp_path,
             CONFIG.format(name=name, port=port, flight=flight, ether=ether, folder=tmp_path / "runs")
         )
         companions[name] = start("companion.commands.cli", "run", "--config", path)
-    intruder = None
+        companions[name].must_not_stall = True
+    intruder = station = None
     try:
         companions["B"].wait_for("standby -> guarding")
         intruder = Intruder(ether)
@@ -193,8 +196,9 @@ def test_head_on_with_one_that_cooperates_and_one_that_does_not(start, tmp_path,
         assert 5 < seconds < 120
         assert 3 < off_m < 60
         companions["B"].wait_for("guarding -> avoiding")
-        station.socket.close()
     finally:
+        if station is not None:
+            station.socket.close()
         if intruder is not None:
             intruder.close()
     for companion in companions.values():

@@ -20,9 +20,9 @@ from companion.radio.ether.ether_radio import EtherTransport
 from companion.radio.frames_io import radio_address
 from companion.radio.hci.hci_radio import HciTransport
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
+from tests.integration.conftest import PATIENCE_S
 from tests.support import waiting
 
-PATIENCE_S = 60.0
 ADDRESS = radio_address("INTRUDER")
 MESSAGES = (
     BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.GLIDER, uas_id="1596B00000GLIDER"),

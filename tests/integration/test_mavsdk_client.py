@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -24,6 +24,8 @@ parser = argparse.ArgumentParser()
 server.add_arguments(parser)
 sys.exit(server.run(parser.parse_args()))
 """
+STALL_S = 0.8
+"""Longer than a wait of the test from one look to the next, and shorter than PX4 waits for setpoints."""
 LAT, LON = HOME.lat_deg, HOME.lon_deg
 
 
@@ -135,17 +137,43 @@ def _take_off(system: object, telemetry: object) -> None:
 
 
 def _fly_offboard(system: object, telemetry: object) -> None:
-    from mavsdk.plugins.offboard import Offboard, VelocityNedYaw
+    from mavsdk.plugins.offboard import Offboard, OffboardError, VelocityNedYaw
     from mavsdk.plugins.telemetry import FlightMode
 
     offboard = Offboard(system)
-    offboard.set_velocity_ned(VelocityNedYaw(0.0, 0.0, 0.0, 0.0))
-    time.sleep(0.3)
-    offboard.start()
-    offboard.set_velocity_ned(VelocityNedYaw(3.0, -1.0, 0.0, 0.0))
-    until(lambda: telemetry.flight_mode() == FlightMode.OFFBOARD)
+    looked_s, stalled = time.monotonic(), False
+
+    def look() -> None:
+        nonlocal looked_s, stalled
+        now_s = time.monotonic()
+        looked_s, stalled = now_s, stalled or now_s - looked_s > STALL_S
+
+    def begin() -> None:
+        """Begin, unless a stall of the machine, in which no setpoints came, ends it."""
+        offboard.set_velocity_ned(VelocityNedYaw(0.0, 0.0, 0.0, 0.0))
+        time.sleep(0.3)
+        try:
+            offboard.start()
+        except OffboardError:
+            look()
+            if not stalled:
+                raise
+        offboard.set_velocity_ned(VelocityNedYaw(3.0, -1.0, 0.0, 0.0))
+
+    def begin_again_after_a_stall() -> None:
+        nonlocal stalled
+        look()
+        if stalled and telemetry.flight_mode() != FlightMode.OFFBOARD:
+            stalled = False
+            begin()
+
+    def wait(condition: Callable[[], bool]) -> None:
+        until(condition, "offboard flight", meanwhile=begin_again_after_a_stall)
+
+    begin()
+    wait(lambda: telemetry.flight_mode() == FlightMode.OFFBOARD)
     # PX4 flies 80 to 87 % of what it is asked.
-    until(lambda: telemetry.position_velocity_ned().velocity.north_m_s > 2.3)
+    wait(lambda: telemetry.position_velocity_ned().velocity.north_m_s > 2.3)
     assert telemetry.position_velocity_ned().velocity.east_m_s == pytest.approx(-0.9, abs=0.3)
     offboard.stop()
     until(lambda: telemetry.flight_mode() != FlightMode.OFFBOARD)

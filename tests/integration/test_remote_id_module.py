@@ -14,8 +14,8 @@ from companion.radio.arduremoteid.section import ArduRemoteIdRadio
 from companion.remote_id.messages import BasicId, IdType, Location, Status, System, UaType
 from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from companion.runtime.radios import open_radio
+from tests.integration.conftest import PATIENCE_S
 
-PATIENCE_S = 60.0
 OURS = BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.GLIDER, uas_id="1581F5BKD229B00A")
 
 

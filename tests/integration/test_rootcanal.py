@@ -25,8 +25,8 @@ from companion.remote_id.messages import (
     UaType,
 )
 from companion.remote_id.transports import BLE4, BLE5
+from tests.integration.conftest import PATIENCE_S
 
-GENEROUS_S = 30.0
 A, B, C = "c2:01:02:03:04:0a", "c2:01:02:03:04:0b", "c2:01:02:03:04:0c"
 SERIAL = BasicId(
     id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id="1596F12345678"
@@ -57,7 +57,7 @@ def radio() -> Iterator[Callable[..., HciTransport]]:
 def hear(receiver: HciTransport, count: int) -> list[RemoteIdHeard]:
     """Wait for so many frames."""
     events: list[RemoteIdHeard] = []
-    deadline = time.monotonic() + GENEROUS_S
+    deadline = time.monotonic() + PATIENCE_S
     while len(events) < count:
         events += receiver.heard(time.monotonic())
         assert time.monotonic() < deadline, f"only {len(events)} of {count}: {receiver.health(0.0)}"
@@ -151,7 +151,7 @@ def test_a_burst_sends_the_newest_and_loses_nothing_silently(air: Air, radio: St
     for step in range(50):
         sender.broadcast(BLE4, (Location(lat_deg=47.5 + step * 1e-4, lon_deg=8.5),), 0.0)
     last = pytest.approx(47.5 + 49e-4, abs=1e-7)
-    deadline = time.monotonic() + GENEROUS_S
+    deadline = time.monotonic() + PATIENCE_S
     events: list[RemoteIdHeard] = []
     while not events or events[-1].messages[0].lat_deg != last:  # type: ignore[union-attr]
         events += receiver.heard(0.0)
@@ -229,7 +229,7 @@ def test_an_air_that_ends_is_noticed(air: Air, radio: Start) -> None:
     where = air()
     sender = radio(where, A)
     where.close()
-    deadline = time.monotonic() + GENEROUS_S
+    deadline = time.monotonic() + PATIENCE_S
     while sender.health(0.0).ok:
         assert time.monotonic() < deadline
         time.sleep(0.01)

@@ -21,12 +21,12 @@ import serial
 
 from companion.autopilot.wire import FrameScanner, mavlink
 from companion.commands import cli
+from tests.integration.conftest import PATIENCE_S
 from tests.support.place import NORTHWARD
 from tests.support.waiting import until
 
 PROFILE = (Path(__file__).parents[2] / "config" / "ardupilot-serial.toml").read_text()
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
-PATIENCE_S = 60.0
 
 
 class Cable:

@@ -5,19 +5,22 @@ from __future__ import annotations
 import json
 import signal
 
-from tests.integration.conftest import PATIENCE_S
+from tests.integration.conftest import PATIENCE_S, STALLED, StalledError, again_after_a_stall
 from tests.support.waiting import until
 
 
+@again_after_a_stall
 def test_a_small_swarm_flies_and_ends_cleanly(start, tmp_path):
     swarm = start(
         "sitl_mocks.cli", "swarm", "--aircraft", "2", "--duration", "10", "--runs", tmp_path / "runs",
         "--policy", "rule", "--region", "config/regions/us.toml",
     )  # fmt: skip
-    assert swarm.process.wait(150) in (0, 1)
+    assert swarm.process.wait(PATIENCE_S) in (0, 1)
     (folder,) = (tmp_path / "runs").iterdir()
     report = json.loads((folder / "summary.json").read_text())
     assert report["ended_badly"] == []
+    if any(STALLED.search(log.read_text()) for log in folder.glob("DMUCA*.log")):
+        raise StalledError
     assert len(report["setpoint_gaps"]) == 2
     assert all(gap["setpoints"] > 100 for gap in report["setpoint_gaps"].values())
     assert len(report["air"]) == 2
@@ -49,7 +52,7 @@ def test_a_swarm_in_which_companions_stop_and_pilots_take_over_breaks_no_rule(st
         "sitl_mocks.cli", "swarm", "--aircraft", "2", "--duration", "14", "--faults", "--seed", "452",
         "--runs", tmp_path / "runs",
     )  # fmt: skip
-    code = swarm.process.wait(150)
+    code = swarm.process.wait(PATIENCE_S)
     (folder,) = (tmp_path / "runs").iterdir()
     report = json.loads((folder / "summary.json").read_text())
     assert report["ended_badly"] == []
