@@ -19,10 +19,11 @@ def test_a_small_swarm_flies_and_ends_cleanly(start, tmp_path):
     (folder,) = (tmp_path / "runs").iterdir()
     report = json.loads((folder / "summary.json").read_text())
     assert report["ended_badly"] == []
-    if any(STALLED.search(log.read_text()) for log in folder.glob("DMUCA*.log")):
-        raise StalledError
     assert len(report["setpoint_gaps"]) == 2
-    assert all(gap["setpoints"] > 100 for gap in report["setpoint_gaps"].values())
+    enough = all(gap["setpoints"] > 100 for gap in report["setpoint_gaps"].values())
+    if not enough and any(STALLED.search(log.read_text()) for log in folder.glob("DMUCA*.log")):
+        raise StalledError
+    assert enough
     assert len(report["air"]) == 2
     assert all(row["sent"] > 5 for row in report["air"])
     assert report["min_separation_m"] is not None
