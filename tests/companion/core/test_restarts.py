@@ -24,13 +24,17 @@ def flies_on(bench, mode):
     bench.step(100)
 
 
-@pytest.mark.parametrize("rearm", ["disarm", "mode"])
-def test_a_restart_in_flight_gives_no_authority_back(make_bench, rearm):
-    bench = make_bench(rearm=rearm)
+def pilot_takes_over(bench):
     bench.until(lambda: bench.core.in_control)
     bench.step(5)
     bench.mode = FlightMode.STICKS
     bench.step(20)
+
+
+@pytest.mark.parametrize("rearm", ["disarm", "mode"])
+def test_a_restart_in_flight_gives_no_authority_back(make_bench, rearm):
+    bench = make_bench(rearm=rearm)
+    pilot_takes_over(bench)
     restart(bench, 5.0)
     flies_on(bench, FlightMode.MISSION)
     assert bench.core.state is State.YIELDED
@@ -38,10 +42,7 @@ def test_a_restart_in_flight_gives_no_authority_back(make_bench, rearm):
 
 def test_a_vehicle_that_stays_disarmed_after_a_restart_has_landed(make_bench):
     bench = make_bench()
-    bench.until(lambda: bench.core.in_control)
-    bench.step(5)
-    bench.mode = FlightMode.STICKS
-    bench.step(20)
+    pilot_takes_over(bench)
     restart(bench, 11.0)
     flies_on(bench, FlightMode.MISSION)
     assert bench.core.in_control
@@ -49,10 +50,7 @@ def test_a_vehicle_that_stays_disarmed_after_a_restart_has_landed(make_bench):
 
 def test_one_disarmed_heartbeat_before_a_long_silence_is_no_landing(make_bench):
     bench = make_bench()
-    bench.until(lambda: bench.core.in_control)
-    bench.step(5)
-    bench.mode = FlightMode.STICKS
-    bench.step(20)
+    pilot_takes_over(bench)
     restart(bench, 0.05)
     bench.silent = True
     bench.step(400)
@@ -71,10 +69,7 @@ def test_a_restart_in_flight_is_no_landing_of_a_vehicle_that_was_flying_at_the_s
 
 def test_a_gap_in_the_link_before_the_landing_takes_nothing_from_it(make_bench):
     bench = make_bench()
-    bench.until(lambda: bench.core.in_control)
-    bench.step(5)
-    bench.mode = FlightMode.STICKS
-    bench.step(20)
+    pilot_takes_over(bench)
     bench.silent = True
     bench.step(40)
     bench.silent = False

@@ -109,7 +109,8 @@ class Oracle(Heard):
         on_ground = self.grounded_s is not None and now_s - self.grounded_s >= 12.0
         if terms.use == "watch" or not self.armed or on_ground:
             self._broken("use", f"{terms.use}, armed {self.armed}, on ground {on_ground}")
-        restores = self.overruled and custom == self.chosen and self.kinds.get(custom) != "external"  # type: ignore[arg-type]
+        chosen = custom is not None and custom == self.chosen
+        restores = self.overruled and chosen and self.kinds.get(custom) != "external"
         if self.gone and not restores:
             self._broken("authority", f"mode {self.custom}")
         if not self.down:
