@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 
@@ -88,3 +89,12 @@ def test_the_way_to_an_item_is_as_fast_as_it_climbs_or_descends(there, seconds):
 def test_an_item_within_half_a_metre_has_been_reached(away_m, stands):
     way = _way((0.0, 0.0, -50.0), (3.0, 0.0, 0.0), (away_m, 0.0, -50.0), 3.0, LimitsConfig())
     assert (way.max_speed() == 0.0) is stands
+
+
+@pytest.mark.parametrize(("home_m", "height_m"), [(400.0, 50.0), (400.6, 49.4), (420.0, 50.0)])
+def test_own_heights_are_above_the_flights_home_once_the_vehicles_has_moved(home_m, height_m):
+    course = Course()
+    course.home_alt_msl_m = 400.0
+    position = SimpleNamespace(alt_msl_m=450.0, height_above_home_m=450.0 - home_m)
+    own = SimpleNamespace(position=position, home_alt_msl_m=home_m)
+    assert course.own_height_m(own) == pytest.approx(height_m)
