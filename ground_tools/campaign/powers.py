@@ -125,6 +125,7 @@ def measure_powers(
             if kinds[i] != AVOIDS or kinds[j] == CREWED or kinds[j] == BAROMETRIC:
                 continue
             for slot in range(arrival.shape[2]):
-                located = heard[i, j, M_TIME] > -math.inf and not math.isnan(craft.sent[j, slot, M_POSITION])
-                if located and before < arrival[i, j, slot] <= now:
+                if not before < arrival[i, j, slot] <= now:
+                    continue
+                if heard[i, j, M_TIME] > -math.inf and not math.isnan(craft.sent[j, slot, M_POSITION]):
                     _measure_power(rng, world, now, i, j, craft, heard[i, j], powers)
