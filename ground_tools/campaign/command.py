@@ -28,6 +28,7 @@ from ground_tools.campaign.runs import add_common, fly_missing, summary, work_of
 from ground_tools.campaign.scenario_measures import command as scenarios
 from ground_tools.campaign.scenarios.layouts import SCENARIOS
 from ground_tools.campaign.sensed import command as sensed
+from ground_tools.common import table_file
 from ground_tools.common.progress import progress
 from ground_tools.common.run_options import processes_of, seeds_of
 from ground_tools.common.workers import in_parallel
@@ -226,7 +227,7 @@ def run_table(args: argparse.Namespace) -> int:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
     seeds, wanted = seeds_of(args.seeds), tables.TABLES[args.table]()
-    tables.check_writable(args.file)
+    table_file.check_writable(args.file)
     with_unavoided = dict.fromkeys(c for cell in wanted for c in (cell, campaign.baseline(cell)))
     found, _ = fly_missing(list(with_unavoided), seeds, args.out, work_of(args, Console(stderr=True)))
     lines = [
@@ -238,7 +239,7 @@ def run_table(args: argparse.Namespace) -> int:
     if args.file is not None:
         ends = (seeds[0], seeds[-1])
         state = campaign.software_of(wanted)
-        tables.write(args.file, tables.Kept(software=state, seeds=ends, lines=tuple(lines)))
+        table_file.write(args.file, tables.Kept(software=state, seeds=ends, lines=tuple(lines)))
     print(tables.markdown(lines), end="")
     return 0
 

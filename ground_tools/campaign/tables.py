@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
-from companion.errors import ConfigError
 from ground_tools.campaign.cells import LAWS, WORLDS, Cell, Row
 from ground_tools.campaign.generators import NAMES
 from ground_tools.campaign.vehicles import INTRUDERS, TWINS
@@ -124,49 +122,6 @@ class Kept(msgspec.Struct, frozen=True, kw_only=True):
     seeds: tuple[int, int]
     """First and last seed of the flights."""
     lines: tuple[Line, ...]
-
-
-def check_writable(path: Path | None) -> None:
-    """Refuse the file of `--file` before hours of flights if it cannot be written. It is left as it is.
-
-    Raises:
-        ConfigError: the file cannot be written.
-    """
-    if path is None:
-        return
-    new = not path.exists()
-    try:
-        path.open("ab").close()
-        if new:
-            path.unlink()
-    except OSError as error:
-        raise ConfigError(f"--file: {path}: cannot be written: {error.strerror}") from error
-
-
-def write(path: Path, table: Kept) -> None:
-    """Write a table to a file.
-
-    Raises:
-        ConfigError: the file cannot be written.
-    """
-    try:
-        path.write_bytes(msgspec.json.format(msgspec.json.encode(table)) + b"\n")
-    except OSError as error:
-        raise ConfigError(f"--file: {path}: cannot be written: {error.strerror}") from error
-
-
-def read(path: Path) -> Kept:
-    """Read a stored table.
-
-    Raises:
-        ConfigError: the file cannot be read, or it is damaged.
-    """
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=Kept)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except msgspec.DecodeError as error:
-        raise ConfigError(f"{path}: this is not a table of a campaign: {error}") from error
 
 
 def markdown(lines: Sequence[Line]) -> str:

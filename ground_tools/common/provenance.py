@@ -17,6 +17,10 @@ from companion.shipped import shipped
 from ground_tools.common import sources
 
 
+class CannotSampleError(Exception):
+    """No sample of a kept file can be made here, because something is missing that the message names."""
+
+
 class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What made a file."""
 

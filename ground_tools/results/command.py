@@ -115,7 +115,10 @@ def _refusal(entry: Entry, *, made: bool) -> str | None:
     # A sample shows nothing about the rest of the file, so that part must be what was once made.
     if not made and record is not None and record.content not in (None, provenance.content_of(entry.path)):
         return f"{_WORDS['edited']}; --made says that today's software made the whole file"
-    return next(iter(entry.remake(entry.path)), None)
+    try:
+        return next(iter(entry.remake(entry.path)), None)
+    except provenance.CannotSampleError as why:
+        return None if made else f"no sample of it can be made: {why}"
 
 
 def chosen_of(paths: Sequence[Path]) -> list[Entry]:
@@ -151,14 +154,19 @@ def status_of(entry: Entry, *, sample: bool) -> tuple[Status, list[str]]:
     if record is not None and record.content not in (None, provenance.content_of(entry.path)):
         return "edited", []
     changed = [] if record is None else provenance.changes(record, entry.now())
+    notes: list[str] = []
     if sample:
-        differences = entry.remake(entry.path)
-        if differences:
-            return "outdated", differences
-        sealed = record is not None and record.content is not None
-        return ("current", []) if sealed and not changed else ("unchanged", changed)
+        try:
+            differences = entry.remake(entry.path)
+        except provenance.CannotSampleError as why:
+            notes = [f"no sample was made: {why}"]
+        else:
+            if differences:
+                return "outdated", differences
+            sealed = record is not None and record.content is not None
+            return ("current", []) if sealed and not changed else ("unchanged", changed)
     if record is None:
-        return "unknown", []
+        return "unknown", notes
     if changed:
-        return "changed", [f"changed since: {name}" for name in changed]
-    return ("unsealed" if record.content is None else "current"), []
+        return "changed", [*notes, *(f"changed since: {name}" for name in changed)]
+    return ("unsealed" if record.content is None else "current"), notes

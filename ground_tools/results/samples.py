@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import tables
+from ground_tools.common import table_file
 from ground_tools.common.kept_lines import read_lines
 from ground_tools.paper.closed_loop import command as closed_loop
 from ground_tools.paper.closed_loop.flights import Row, rows_of
@@ -14,7 +15,7 @@ from ground_tools.paper.closed_loop.flights import Row, rows_of
 
 def campaign_table(path: Path) -> list[str]:
     """Fly the first seed of every line of a campaign's table again. Returns the differences, as text."""
-    table = tables.read(path)
+    table = table_file.read(path, tables.Kept)
     if not table.lines:
         return ["the file holds no line"]
     wanted = tables.TABLES.get(path.stem)

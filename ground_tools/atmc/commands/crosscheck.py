@@ -26,6 +26,7 @@ from ground_tools.atmc.commands import collect, kept_runs, results
 from ground_tools.atmc.commands.train import seed_range
 from ground_tools.atmc.env.torch_setup import needs_torch
 from ground_tools.common.kept_lines import Kept, read_lines
+from ground_tools.common.provenance import CannotSampleError
 from ground_tools.common.run_options import processes_of
 
 KEPT: Final = shipped("results/atmc/crosscheck.jsonl")
@@ -156,16 +157,16 @@ def best_fixed_ms() -> float:
 def sample(path: Path) -> list[str]:
     """Train the beginning of the first run of each learner again. Returns the differences, as text.
 
-    Without the library nothing can be trained, and only the file is read.
-
     Raises:
         ConfigError: The file cannot be read.
+        CannotSampleError: The library is not installed.
     """
     _, rows = read_lines(path, Row)
     if not rows:
         return ["the file holds no run"]
-    if _missing_package() is not None:
-        return []
+    missing = _missing_package()
+    if missing is not None:
+        raise CannotSampleError(f"{missing} is not installed")
     firsts: dict[str, Row] = {}
     for row in rows:
         firsts.setdefault(row.algorithm, row)

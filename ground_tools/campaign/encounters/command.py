@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+import msgspec
 import numba
 import numpy as np
 from rich.console import Console
 
 from companion.errors import ConfigError
-from ground_tools.campaign.encounters import cells, pairing, report
+from ground_tools.campaign.encounters import cells, pairing, report, table
 from ground_tools.campaign.encounters.cells import ALTITUDES, OWN, Cell, Row
 from ground_tools.campaign.encounters.model import Model, read
 from ground_tools.channel import options
+from ground_tools.common import table_file
 from ground_tools.common.cluster import on_ray
 from ground_tools.common.kept_lines import Kept
 from ground_tools.common.progress import progress
@@ -35,12 +38,13 @@ Work = Callable[[Sequence[Part]], Iterator[tuple[Part, list[Row]]]]
 def add_arguments(command: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools campaign encounters`."""
     add = command.add_argument
-    add("--model", type=Path, required=True, metavar="FILE", help="parameter file of an encounter model")
-    add("--own", choices=OWN, default="hover",
-        help="speed of the own aircraft in m/s (default: hover)")  # fmt: skip
-    add("--altitude", choices=ALTITUDES, default="geometric",
-        help="altitude that the crewed aircraft sends by ADS-B; pressure: its pressure altitude, and ours is "
-        "known; barometric: the same, and ours is not known; unheard: it sends nothing (default: "
+    add("--model", type=Path, required=True, nargs="+", metavar="FILE",
+        help="parameter files of encounter models")  # fmt: skip
+    add("--own", choices=OWN, nargs="+", default=["hover"],
+        help="speeds of the own aircraft in m/s (default: hover)")  # fmt: skip
+    add("--altitude", choices=ALTITUDES, nargs="+", default=["geometric"],
+        help="altitudes that the crewed aircraft sends by ADS-B; pressure: its pressure altitude, and ours "
+        "is known; barometric: the same, and ours is not known; unheard: it sends nothing (default: "
         "geometric)")  # fmt: skip
     separations = Cell(model="", digest="")
     add("--separation", type=float, nargs=2, metavar=("H", "V"),
@@ -49,8 +53,8 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         f"{separations.horizontal_m:g} {separations.vertical_m:g})")  # fmt: skip
     add("--loss", type=float, default=0.0, metavar="SHARE",
         help="share of ADS-B messages that are lost, 0 to 1 (default: 0)")  # fmt: skip
-    add("--range", type=float, default=separations.range_m, metavar="M",
-        help=f"distance within which ADS-B is received (default: {separations.range_m:g})")  # fmt: skip
+    add("--range", type=float, nargs="+", default=[separations.range_m], metavar="M",
+        help=f"distances within which ADS-B is received (default: {separations.range_m:g})")  # fmt: skip
     add("--window", type=float, nargs=2, metavar=("H", "V"),
         default=(separations.aside_m, separations.height_m),
         help="the crewed aircraft passes within these distances to the side and in height, m (default: "
@@ -59,6 +63,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         help="range of seeds, one encounter each (default: 1-1000)")  # fmt: skip
     add("--out", type=Path, metavar="FOLDER",
         help="keep results in this folder, and do not repeat encounters whose results are there")  # fmt: skip
+    add("--file", type=Path, metavar="FILE", help="also write all numbers as JSON")
     add("--processes", type=int, metavar="N", help="worker processes (default: one per core)")
     add_ray(command)
     add("--json", action="store_true", help="print one JSON object instead of text")
@@ -72,50 +77,62 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: an option or the model's file is wrong, or a file cannot be read or written.
     """
     seeds = seeds_of(args.seeds)
-    model = read(args.model)
-    cell = _cell(args, model)
+    wanted = _cells(args)
+    table_file.check_writable(args.file)
     began = time.perf_counter()
-    rows, flown = fly_missing(cell, model, seeds, args.out, _work(args, Console(stderr=True)))
-    found = report.summary(cell, rows)
+    rows, flown = fly_missing(wanted, seeds, args.out, _work(args, Console(stderr=True)))
+    lines = [table.line(cell, rows[cell]) for cell in wanted]
     wall = time.perf_counter() - began
-    found |= {"flown": flown, "wall_s": round(wall, 3), "flight_s": 2 * flown * pairing.DURATION_S}
+    if args.file is not None:
+        kept = table.Kept(software=cells.software(), seeds=(seeds[0], seeds[-1]), lines=tuple(lines))
+        table_file.write(args.file, kept)
+    effort = {"flown": flown, "wall_s": round(wall, 3), "flight_s": 2 * flown * pairing.DURATION_S}
     if args.json:
-        print(json.dumps(found, allow_nan=False))
+        several = {"lines": [msgspec.to_builtins(line.cell) | line.found for line in lines]}
+        print(json.dumps((lines[0].found if len(lines) == 1 else several) | effort, allow_nan=False))
         return 0
     words = Console()
-    for line in [*report.lines(cell, found), f"{flown:,} encounters flown in {wall:.1f} s"]:
-        words.print(line, highlight=False, soft_wrap=True)
+    if len(lines) == 1:
+        for text in report.lines(lines[0].cell, lines[0].found):
+            words.print(text, highlight=False, soft_wrap=True)
+    else:
+        print(table.markdown(lines), end="")
+    words.print(f"{flown:,} encounters flown in {wall:.1f} s", highlight=False, soft_wrap=True)
     return 0
 
 
 def fly_missing(
-    cell: Cell, model: Model, seeds: Sequence[int], folder: Path | None, work: Work
-) -> tuple[list[Row], int]:
-    """Fly the seeds that the folder does not hold. Returns the rows of all, in their order, and the number
-    flown.
+    wanted: Mapping[Cell, Model], seeds: Sequence[int], folder: Path | None, work: Work
+) -> tuple[dict[Cell, list[Row]], int]:
+    """Fly the encounters that the folder does not hold. Returns the rows of each cell, in the order of the
+    seeds, and the number flown.
 
     Args:
+        wanted: cells with their models.
         folder: folder in which rows are stored and looked up; None: rows are not stored.
         work: see `_work`.
 
     Raises:
-        ConfigError: a file cannot be read or written, or the model cannot be drawn from.
+        ConfigError: a file cannot be read or written, or a model cannot be drawn from.
     """
-    file: Kept[Row] | None = None
-    rows: dict[int, Row] = {}
+    rows: dict[Cell, dict[int, Row]] = {cell: {} for cell in wanted}
+    files: dict[Cell, Kept[Row]] = {}
     if folder is not None:
         options.make_folder(folder)
-        file = cells.kept(folder, cell)
-        rows = dict(file.rows)
-    missing = [seed for seed in seeds if seed not in rows]
-    parts = [(cell, model, missing[at : at + _AT_ONCE]) for at in range(0, len(missing), _AT_ONCE)]
+        files = {cell: cells.kept(folder, cell) for cell in wanted}
+        rows = {cell: dict(file.rows) for cell, file in files.items()}
+    parts: list[Part] = []
+    for cell, model in wanted.items():
+        missing = [seed for seed in seeds if seed not in rows[cell]]
+        parts += [(cell, model, missing[at : at + _AT_ONCE]) for at in range(0, len(missing), _AT_ONCE)]
     with progress("encounters", len(parts)) as advance:
-        for _, found in work(parts):
-            if file is not None:
-                file.add(found)
-            rows.update((row.seed, row) for row in found)
+        for (cell, _, _), found in work(parts):
+            if cell in files:
+                files[cell].add(found)
+            rows[cell].update((row.seed, row) for row in found)
             advance()
-    return [rows[seed] for seed in seeds], len(missing)
+    flown = sum(len(missing) for _, _, missing in parts)
+    return {cell: [rows[cell][seed] for seed in seeds] for cell in wanted}, flown
 
 
 def _work(args: argparse.Namespace, words: Console) -> Work:
@@ -143,28 +160,33 @@ def _state() -> str:
     return f"{cells.software()}, numba {numba.__version__}, numpy {np.__version__}"
 
 
-def _cell(args: argparse.Namespace, model: Model) -> Cell:
+def _cells(args: argparse.Namespace) -> dict[Cell, Model]:
+    """The cells of all combinations of the options, with their models."""
     horizontal, vertical = args.separation
     aside, height = args.window
     for option, value, least, most in (
         ("separation", horizontal, 1.0, 5000.0),
         ("separation", vertical, 1.0, 1000.0),
         ("loss", args.loss, 0.0, 1.0),
-        ("range", args.range, 1.0, 1e6),
+        *(("range", range_m, 1.0, 1e6) for range_m in args.range),
         ("window", aside, 1.0, 5000.0),
         ("window", height, 1.0, 1000.0),
     ):
         if not least <= value <= most:
             raise ConfigError(f"--{option}: {value:g} is out of range; allowed: {least:g} to {most:g}")
-    return Cell(
-        model=model.name,
-        digest=model.digest,
-        own=args.own,
-        altitude=args.altitude,
-        horizontal_m=horizontal,
-        vertical_m=vertical,
-        loss=args.loss,
-        range_m=args.range,
-        aside_m=aside,
-        height_m=height,
-    )
+    models = [read(path) for path in args.model]
+    return {
+        Cell(
+            model=model.name,
+            digest=model.digest,
+            own=own,
+            altitude=altitude,
+            horizontal_m=horizontal,
+            vertical_m=vertical,
+            loss=args.loss,
+            range_m=range_m,
+            aside_m=aside,
+            height_m=height,
+        ): model
+        for range_m, altitude, own, model in itertools.product(args.range, args.altitude, args.own, models)
+    }

@@ -16,6 +16,7 @@ from ground_tools.campaign.cells import Cell
 from ground_tools.campaign.peer_comparison import pareto, search
 from ground_tools.campaign.peer_comparison import table as comparison
 from ground_tools.campaign.runs import add_common, fly_missing, work_of
+from ground_tools.common import table_file
 from ground_tools.common.run_options import seeds_of
 
 HELD_OUT = "90001-91000"
@@ -106,14 +107,16 @@ def _fly(
 ) -> list[tables.Line]:
     """Fly cells, print the results as text or JSON, and store them."""
     seeds = seeds_of(args.seeds)
-    tables.check_writable(args.file)
+    table_file.check_writable(args.file)
     found, _ = fly_missing(wanted, seeds, args.out, work_of(args, Console(stderr=True)))
     lines = [
         tables.Line(cell=cell, found=search.figures(found[cell]), first=found[cell][0]) for cell in wanted
     ]
     if args.file is not None:
         state = campaign.software_of(wanted)
-        tables.write(args.file, tables.Kept(software=state, seeds=(seeds[0], seeds[-1]), lines=tuple(lines)))
+        table_file.write(
+            args.file, tables.Kept(software=state, seeds=(seeds[0], seeds[-1]), lines=tuple(lines))
+        )
     if args.json:
         report = [{"encounter": comparison.words_of(x.cell), "law": x.cell.law, **x.found} for x in lines]
         print(json.dumps({"seeds": args.seeds, "lines": report}, allow_nan=False))

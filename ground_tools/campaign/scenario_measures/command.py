@@ -18,6 +18,7 @@ from ground_tools.campaign.cells import Cell
 from ground_tools.campaign.scenario_measures.measures import ARRIVED_M, Measures, figures, measured
 from ground_tools.campaign.scenarios import files
 from ground_tools.campaign.scenarios.layouts import SCENARIOS
+from ground_tools.common import table_file
 from ground_tools.common.progress import progress
 from ground_tools.common.run_options import processes_of, seeds_of
 from ground_tools.common.workers import in_parallel
@@ -97,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
     seeds, sources = seeds_of(args.seeds), _sources(args)
-    tables.check_writable(args.file)
+    table_file.check_writable(args.file)
     wanted = _of_files(sources, args.laws) if args.scn else _of_names(args)
     for one in wanted:
         campaign.flown_by(one.cells[0])
@@ -119,7 +120,9 @@ def run(args: argparse.Namespace) -> int:
     ]
     if args.file is not None:
         state = campaign.software_of([one.cells[0] for one in wanted])
-        tables.write(args.file, tables.Kept(software=state, seeds=(seeds[0], seeds[-1]), lines=tuple(lines)))
+        table_file.write(
+            args.file, tables.Kept(software=state, seeds=(seeds[0], seeds[-1]), lines=tuple(lines))
+        )
     if args.json:
         report = [{"scenario": _title(x.cell), "law": x.cell.law, **x.found} for x in lines]
         about = [_told(source) for source in sources]

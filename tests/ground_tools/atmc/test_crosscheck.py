@@ -16,6 +16,7 @@ from ground_tools import cli
 from ground_tools.atmc.commands import crosscheck, results
 from ground_tools.atmc.commands.crosscheck import Row
 from ground_tools.common.kept_lines import read_lines
+from ground_tools.common.provenance import CannotSampleError
 
 
 def row(algorithm="iql", seed=1, curve=((2000, 1500.0), (4000, 1000.0)), last_ms=1010.0):
@@ -159,9 +160,10 @@ def test_the_last_policy_is_measured_as_those_of_this_project(monkeypatch):
     assert found.library.startswith("benchmarl 1, ")
 
 
-def test_a_sample_without_the_library_only_reads_the_file(tmp_path, monkeypatch):
+def test_without_the_library_no_sample_is_claimed(tmp_path, monkeypatch):
     monkeypatch.setattr(crosscheck, "_missing_package", lambda: "benchmarl")
-    assert crosscheck.sample(kept(tmp_path / "runs.jsonl", [row()])) == []
+    with pytest.raises(CannotSampleError, match="benchmarl is not installed"):
+        crosscheck.sample(kept(tmp_path / "runs.jsonl", [row()]))
     assert crosscheck.sample(kept(tmp_path / "none.jsonl", [])) == ["the file holds no run"]
 
 

@@ -19,6 +19,7 @@ from ground_tools.campaign import tables
 from ground_tools.campaign.cells import Cell, Row, fly
 from ground_tools.campaign.generators import NAMES
 from ground_tools.campaign.runs import summary
+from ground_tools.common import table_file
 
 S2 = ["campaign", "run", "--generator", "S2", "--delay", "1", "2", "--processes", "1"]
 
@@ -194,7 +195,7 @@ def test_a_table_has_a_line_for_each_cell(tmp_path, capsys):
     words = ["campaign", "table", "fast", "--seeds", "1-2", "--processes", "1", "--file", str(file)]
     assert cli.main(words) == 0
     printed = capsys.readouterr().out
-    kept = tables.read(file)
+    kept = table_file.read(file, tables.Kept)
     reserved = [line.cell for line in kept.lines if line.cell.reserve]
     assert [cell.generator for cell in reserved] == list(NAMES)
     assert {cell.speed_mps for cell in reserved} == {20.0}
@@ -223,10 +224,10 @@ def test_columns_of_what_differs():
 def test_a_damaged_table_is_reported(tmp_path):
     file = tmp_path / "table.json"
     with pytest.raises(ConfigError, match="cannot be read: No such file"):
-        tables.read(file)
+        table_file.read(file, tables.Kept)
     file.write_text('{"software": "x", "seeds": [1, 2], "lines": [{}]}')
     with pytest.raises(ConfigError, match=r"not a table of a campaign: .*lines"):
-        tables.read(file)
+        table_file.read(file, tables.Kept)
 
 
 def test_crewed_traffic_fences_and_lateness_have_figures():
@@ -287,8 +288,8 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_flights(words, tmp_
 
 def test_the_check_of_a_file_leaves_it_as_it_is(tmp_path):
     file = tmp_path / "table.json"
-    tables.check_writable(file)
+    table_file.check_writable(file)
     assert not file.exists()
     file.write_text("kept")
-    tables.check_writable(file)
+    table_file.check_writable(file)
     assert file.read_text() == "kept"

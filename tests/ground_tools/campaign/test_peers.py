@@ -24,6 +24,7 @@ from ground_tools.campaign.peer_comparison import command, pareto, search
 from ground_tools.campaign.peer_comparison import table as comparison
 from ground_tools.campaign.peers import common, flown, fly_away, laws, mvp, orca
 from ground_tools.campaign.world import World
+from ground_tools.common import table_file
 from ground_tools.common.sources import ROOT
 
 PEERS = sorted(laws.PEERS)
@@ -306,7 +307,7 @@ def test_a_changed_number_is_not_an_intruders():
 
 
 def test_the_own_law_reproduces_the_kept_flights():
-    kept = tables.read(ROOT / "results" / "campaign" / "generators.json")
+    kept = table_file.read(ROOT / "results" / "campaign" / "generators.json", tables.Kept)
     for line in kept.lines[:4]:
         assert campaign.fly(line.cell, [line.first.seed]) == [line.first]
 
@@ -374,7 +375,7 @@ def test_the_best_candidate_loses_least_and_then_deviates_least():
 
 
 def test_the_kept_search_found_what_the_laws_fly_with():
-    kept = tables.read(ROOT / "results" / "campaign" / "peers-search.json")
+    kept = table_file.read(ROOT / "results" / "campaign" / "peers-search.json", tables.Kept)
     assert f"{kept.seeds[0]}-{kept.seeds[1]}" == search.SEEDS
     assert [x.cell for x in kept.lines] == search.cells()
     for name, law in search.best_of(kept.lines).items():
@@ -383,19 +384,19 @@ def test_the_kept_search_found_what_the_laws_fly_with():
 
 @pytest.mark.parametrize("name", comparison.TABLES)
 def test_the_page_shows_the_kept_tables(name):
-    kept = tables.read(ROOT / "results" / "campaign" / f"peers-{name}.json")
+    kept = table_file.read(ROOT / "results" / "campaign" / f"peers-{name}.json", tables.Kept)
     assert [x.cell for x in kept.lines] == comparison.TABLES[name].cells()
     assert comparison.markdown(name, kept.lines) in on_the_page(kept)
 
 
 def test_the_page_shows_the_points_of_the_picture():
-    kept = tables.read(ROOT / "results" / "campaign" / "peers-pareto.json")
+    kept = table_file.read(ROOT / "results" / "campaign" / "peers-pareto.json", tables.Kept)
     assert [x.cell for x in kept.lines] == pareto.cells()
     assert pareto.markdown(kept.lines) in on_the_page(kept)
 
 
 def test_the_page_shows_the_best_of_the_kept_search():
-    kept = tables.read(ROOT / "results" / "campaign" / "peers-search.json")
+    kept = table_file.read(ROOT / "results" / "campaign" / "peers-search.json", tables.Kept)
     assert search.markdown(kept.lines) in (ROOT / "docs" / "peers-results.md").read_text()
 
 
@@ -422,7 +423,7 @@ def test_a_table_from_one_command(capsys, monkeypatch, tmp_path):
     assert cli.main([*words, "--json"]) == 0
     lines = json.loads(capsys.readouterr().out)["lines"]
     assert [(x["encounter"], x["law"], x["runs"]) for x in lines] == [("S2", "none", 2), ("S2", "orca", 2)]
-    assert len(tables.read(tmp_path / "table.json").lines) == 2
+    assert len(table_file.read(tmp_path / "table.json", tables.Kept).lines) == 2
 
 
 def test_the_picture_needs_every_cell(tmp_path):

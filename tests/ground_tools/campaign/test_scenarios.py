@@ -17,6 +17,7 @@ from ground_tools.campaign.cells import Cell
 from ground_tools.campaign.generators import HEIGHT_M, MEETING_S
 from ground_tools.campaign.scenario_measures import command, measures
 from ground_tools.campaign.scenarios import layouts, missions
+from ground_tools.common import table_file
 
 MISSION = Cell(generator="cruise", aircraft=2, intruders=0.5, intruder="survey", delay_s=(1.0, 2.0))
 
@@ -200,7 +201,7 @@ def test_the_table_of_scenarios(capsys, tmp_path):
     out = capsys.readouterr().out.splitlines()
     assert len(out) == 4
     assert out[2].startswith("| abreast-25 | 5 | none | 2 | 0 | 0 |")
-    kept = tables.read(tmp_path / "t.json")
+    kept = table_file.read(tmp_path / "t.json", tables.Kept)
     assert command.markdown(kept.lines).splitlines() == out
     for x in kept.lines:
         assert campaign.fly(x.cell, [1]) == [x.first]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import msgspec
 import pytest
 
@@ -9,7 +11,7 @@ from companion.errors import ConfigError
 from companion.shipped import shipped
 from ground_tools import cli
 from ground_tools.campaign import tables
-from ground_tools.common import provenance
+from ground_tools.common import provenance, table_file
 from ground_tools.common.kept_lines import read_lines
 from ground_tools.paper.closed_loop.flights import Row
 from ground_tools.results import command, kept, samples
@@ -125,6 +127,30 @@ def test_a_record_after_a_sample_says_so(some):
     assert provenance.read(entry.path).evidence == "sample"
 
 
+def test_without_a_sample_the_record_decides_and_none_is_written(some, monkeypatch, capsys):
+    """A sample may need a library or files that are not part of the project."""
+    entry, _ = some
+
+    def missing(path):
+        raise provenance.CannotSampleError("the library is not installed")
+
+    monkeypatch.setattr(kept, "entries", lambda: [replace(entry, remake=missing)])
+    assert cli.main(["results", "record"]) == 1
+    assert "not recorded: no sample of it can be made: the library is not inst" in capsys.readouterr().out
+    code, out = verify(capsys, "--sample")
+    assert (code, out.splitlines()[:2]) == (
+        1,
+        [f"{NAME}: made by unknown code", "    no sample was made: the library is not installed"],
+    )
+    assert cli.main(["results", "record", "--made"]) == 0
+    capsys.readouterr()
+    code, out = verify(capsys, "--sample")
+    assert (code, out) == (
+        0,
+        f"{NAME}: made by today's code and data\n    no sample was made: the library is not installed\n",
+    )
+
+
 def test_changed_data_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(provenance, "shipped", lambda name: tmp_path / name)
     data = tmp_path / "data.toml"
@@ -164,7 +190,7 @@ def test_every_listed_file_is_there_and_every_kept_file_is_listed():
 def test_the_command_of_a_table_flies_the_seeds_that_the_file_holds():
     for name in tables.TABLES:
         (entry,) = [e for e in kept.entries() if e.name == f"results/campaign/{name}.json"]
-        first, last = tables.read(entry.path).seeds
+        first, last = table_file.read(entry.path, tables.Kept).seeds
         assert f" --seeds {first}-{last} " in entry.command
 
 
@@ -175,10 +201,10 @@ def test_the_command_of_a_table_flies_the_seeds_that_the_file_holds():
 def twins(tmp_path, monkeypatch):
     """A copy of a small table, whose flights are not flown again."""
     path = tmp_path / "twins.json"
-    table = tables.read(shipped("results/campaign/twins.json"))
+    table = table_file.read(shipped("results/campaign/twins.json"), tables.Kept)
     firsts = {line.cell: line.first for line in table.lines}
     monkeypatch.setattr(samples.campaign, "fly", lambda cell, seeds: [firsts[cell]])
-    tables.write(path, table)
+    table_file.write(path, table)
     return path, table
 
 
@@ -188,17 +214,17 @@ def test_a_table_is_equal_to_itself(twins):
 
 def test_a_table_without_lines_is_no_equal_sample(twins):
     path, table = twins
-    tables.write(path, msgspec.structs.replace(table, lines=()))
+    table_file.write(path, msgspec.structs.replace(table, lines=()))
     assert samples.campaign_table(path) == ["the file holds no line"]
 
 
 def test_a_table_that_lacks_a_line_or_flights_differs(twins):
     path, table = twins
-    tables.write(path, msgspec.structs.replace(table, lines=table.lines[:-1]))
+    table_file.write(path, msgspec.structs.replace(table, lines=table.lines[:-1]))
     (word,) = samples.campaign_table(path)
     assert "it has 1 of 2" in word
     short = msgspec.structs.replace(table.lines[0], found=table.lines[0].found | {"runs": 999})
-    tables.write(path, msgspec.structs.replace(table, lines=(short, *table.lines[1:])))
+    table_file.write(path, msgspec.structs.replace(table, lines=(short, *table.lines[1:])))
     (word,) = samples.campaign_table(path)
     assert "999 flights" in word
 
@@ -207,7 +233,7 @@ def test_a_first_flight_that_comes_out_otherwise_differs(twins):
     path, table = twins
     line = table.lines[0]
     other = msgspec.structs.replace(line.first, separation_m=line.first.separation_m + 1.0)
-    tables.write(
+    table_file.write(
         path,
         msgspec.structs.replace(table, lines=(msgspec.structs.replace(line, first=other), *table.lines[1:])),
     )

@@ -10,9 +10,11 @@ import pytest
 
 from companion.errors import ConfigError
 from ground_tools import cli
-from ground_tools.campaign.encounters import cells, flight, pairing, report
+from ground_tools.campaign.encounters import cells, flight, pairing, report, table
 from ground_tools.campaign.encounters.cells import Cell, Row
 from ground_tools.campaign.encounters.volumes import NMAC, WELL_CLEAR
+from ground_tools.common import table_file
+from ground_tools.common.provenance import CannotSampleError
 from tests.support.encounter_models import NAMES, PUBLISHED, ROTORCRAFT, TINY, model_of
 
 TINY_RUN = ["campaign", "encounters", "--model", str(TINY), "--processes", "1"]
@@ -171,6 +173,60 @@ def test_a_run_continues_from_what_is_kept(capsys, tmp_path):
     }
     assert run(capsys, *out)["flown"] == 0
     assert run(capsys, *out, "--altitude", "barometric")["flown"] == 12  # another cell, another file
+
+
+def test_several_kinds_give_a_table_and_a_file_that_can_be_sampled(capsys, tmp_path, monkeypatch):
+    file = tmp_path / "table.json"
+    options = [
+        "--own",
+        "hover",
+        "10",
+        "--altitude",
+        "geometric",
+        "pressure",
+        "--range",
+        "2000",
+        "--seeds",
+        "1-5",
+    ]
+    assert cli.main([*TINY_RUN, *options, "--file", str(file)]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert len(out) == 2 + 4 + 1
+    assert [row.split(" | ")[:5] for row in out[2:6]] == [
+        ["| tiny", own, altitude, "2", "5"]
+        for altitude in ("geometric", "pressure")
+        for own in ("hover", "10")
+    ]
+    assert out[-1].startswith("20 encounters flown in ")
+    found = run(capsys, *options)
+    kept = table_file.read(file, table.Kept)
+    assert [line["own"] for line in found["lines"]] == [line.cell.own for line in kept.lines]
+    assert [len(line.first) for line in kept.lines] == [3] * 4
+    assert all(found["lines"][n].items() >= line.found.items() for n, line in enumerate(kept.lines))
+
+    with pytest.raises(CannotSampleError, match="DMUCA_ENCOUNTER_MODELS"):
+        table.sample(file)
+    monkeypatch.setenv("DMUCA_ENCOUNTER_MODELS", str(TINY.parent))
+    assert table.sample(file) == []
+    line = kept.lines[2]
+    other = msgspec.structs.replace(line.first[1], deviation_m=1.0)
+    lines = [*kept.lines]
+    lines[2] = msgspec.structs.replace(line, first=(line.first[0], other))
+    table_file.write(file, msgspec.structs.replace(kept, lines=tuple(lines)))
+    (said,) = table.sample(file)
+    assert said.startswith("tiny, hover, pressure, 2000 m, seed 2: Row(seed=2")
+    table_file.write(file, msgspec.structs.replace(kept, seeds=(1, 6)))
+    assert table.sample(file)[0].endswith("5 encounters; seeds (1, 6) are 6")
+    wrong = msgspec.structs.replace(line, cell=msgspec.structs.replace(line.cell, digest="0"))
+    table_file.write(file, msgspec.structs.replace(kept, lines=(wrong,)))
+    assert "is another one" in table.sample(file)[0]
+    table_file.write(file, msgspec.structs.replace(kept, lines=()))
+    assert table.sample(file) == ["the file holds no line"]
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_the_flights(capsys, tmp_path):
+    assert cli.main([*TINY_RUN, "--file", str(tmp_path / "none" / "table.json")]) != 0
+    assert "cannot be written" in capsys.readouterr().err
 
 
 def test_results_of_another_model_are_not_mixed(capsys, tmp_path):
