@@ -27,6 +27,11 @@ _STEP_SLACK = 3.0
 _OVERTAKEN = 8
 """A frame that is up to this many counts behind was sent before the last received one."""
 _SHORTEST_SPAN_S = 0.5
+_REPEATED = 0.15
+"""A sender of which more frames than this share of its news repeat their content sends each content several
+times. Gaps in its counter then hide losses."""
+_SAME_FRAME_S = 0.05
+"""A repetition within this time is the same frame, received on another channel or by another receiver."""
 
 
 @dataclass(slots=True)
@@ -44,6 +49,8 @@ class Reception:
     _arrived: float = 0.0
     _expected: float = 0.0
     """`_arrived` of `_expected` sent messages give the share that arrives."""
+    _repeated: float = 0.0
+    """Received frames that repeated the last content."""
 
     def count_frame(self, counter: int | None, now_s: float) -> None:
         """Count a received frame with a Location.
@@ -56,6 +63,7 @@ class Reception:
         before, gap_s = self._counter, now_s - self._news_s
         steps = 1 if counter is None or before is None else (counter - before) & 0xFF
         if steps == 0:
+            self._repeated += gap_s > _SAME_FRAME_S
             return
         if steps > 0xFF - _OVERTAKEN:
             self._arrived = min(self._arrived + 1.0, self._expected)
@@ -72,6 +80,7 @@ class Reception:
             fade = math.exp(-gap_s / SHARE_MEMORY_S)
             self._arrived = fade * self._arrived + 1.0
             self._expected = fade * self._expected + steps
+            self._repeated *= fade
 
     def rate(self, now_s: float) -> int:
         """Locations per second, 1 to `MAX_RATE`; 0 if nothing was heard within `HEARD_S`."""
@@ -85,9 +94,10 @@ class Reception:
         """Messages that arrived, and messages sent up to the last arrival, over about the last 10 s.
 
         Losses since the last arrival are left out, because a sender that left this transport looks the same.
+        A sender that repeats its content is not counted.
         """
         silent_s = now_s - self.heard_s
-        if silent_s > _LONGEST_GAP_S:
+        if silent_s > _LONGEST_GAP_S or self._repeated > _REPEATED * self._arrived:
             return 0.0, 0.0
         fade = math.exp(-silent_s / SHARE_MEMORY_S)
         return fade * self._arrived, fade * self._expected

@@ -155,10 +155,8 @@ def _check(question: Question) -> None:
         raise ConfigError(f"--load: {question.load:g} is out of range; allowed: 0 to 0.95")
     if question.load and question.objective == "paper":
         raise ConfigError("--load: the paper's objective has no foreign transmissions; allowed with it: 0")
-    if question.samples < 2:
-        raise ConfigError(
-            f"--samples: {question.samples} is out of range; allowed: 2 or more, for the intervals"
-        )
+    if question.samples < 1:
+        raise ConfigError(f"--samples: {question.samples} is out of range; allowed: 1 or more")
     check_seed(question.seed)
     if not 0.0 <= question.sigma_db <= 30.0:
         raise ConfigError(f"--sigma: {question.sigma_db:g} is out of range; allowed: 0 to 30")
@@ -190,9 +188,9 @@ def _show(found: dict[str, Any]) -> None:
 
 def _tail(found: dict[str, Any]) -> str:
     """How the policy compares with the best fixed mode: on average, and where it is worse."""
-    low, high = found["vs_best_fixed_low_pct"], found["vs_best_fixed_high_pct"]
+    low, high = (found.get(f"vs_best_fixed_{end}_pct") for end in ("low", "high"))
     text = f"Against the best fixed mode: {found['vs_best_fixed_pct']:+.1f} % "
-    text += f"({low:+.1f} to {high:+.1f} %, 95 %). "
+    text += "(too few places for an interval). " if low is None else f"({low:+.1f} to {high:+.1f} %, 95 %). "
     worst, side = max((pct, key.split("_")[2]) for key, pct in found.items() if key.startswith(_IN_SQUARE))
     text += f"In the square where it does worst ({int(side):,} m): {worst:+.1f} %. "
     if not found["places"]:

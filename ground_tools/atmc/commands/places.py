@@ -23,6 +23,9 @@ BEHIND: Final = 0.05
 """A place counts as worse if the policy's cost exceeds that of the best fixed mode by more than this."""
 LEAST_WEIGHT: Final = 1e-3
 """Places with less weight are not counted as worse: nobody there could soon be in conflict with anybody."""
+LEAST_PLACES: Final = 30
+"""Fewest places in each square for an interval. With 2, 5 and 12 places the bootstrap's 95 % intervals hold
+the true value in 61 to 72, 80 to 86 and 85 to 90 % of the cases."""
 _METHODS: Final = ("policy", "rule", "search")
 _SEED: Final = 1
 
@@ -75,7 +78,8 @@ class Places:
         }
 
     def _against_fixed(self, best: int) -> dict[str, float]:
-        """Policy against the best fixed mode (%), with the 95 % interval, and in each square."""
+        """Policy against the best fixed mode (%), and in each square. The 95 % interval is given if no square
+        has fewer places than `LEAST_PLACES`."""
         rng = np.random.default_rng(_SEED)
         drawn = np.zeros((2, DRAWS))
         each = []
@@ -87,14 +91,16 @@ class Places:
             drawn += 1e3 * (parts @ counts.T) / np.maximum(counts @ square.weight, 1e-9)
         found = np.sum(each, axis=0)
         low, high = np.percentile(100.0 * (drawn[0] / drawn[1] - 1.0), (2.5, 97.5))
+        interval = {"vs_best_fixed_low_pct": _rounded(low), "vs_best_fixed_high_pct": _rounded(high)}
+        if any(square.weight.size < LEAST_PLACES for square in self.squares):
+            interval = {}
         return {
             **{
                 f"vs_side_{side:.0f}_pct": _rounded(_worse_pct(policy, fixed))
                 for side, (policy, fixed) in zip(SIDES_M, each, strict=True)
             },
             "vs_best_fixed_pct": _rounded(_worse_pct(*found)),
-            "vs_best_fixed_low_pct": _rounded(low),
-            "vs_best_fixed_high_pct": _rounded(high),
+            **interval,
         }
 
     def _tail(self, best: int) -> dict[str, float | int]:

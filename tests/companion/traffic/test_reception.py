@@ -50,6 +50,28 @@ def test_the_share_is_found(share):
     assert 40.0 < expected / 100 < 101.0
 
 
+@pytest.mark.parametrize(("share", "most"), [(1.0, 0.0), (0.5, 0.0), (0.2, 0.25)])
+def test_a_sender_that_repeats_its_content_is_not_measured(share, most):
+    """Ten frames a second with one new content: most counts arrive, however many frames are lost. Under heavy
+    loss few contents arrive twice, which is noticed less often."""
+    rng, measured = np.random.default_rng(4), 0
+    for _ in range(40):
+        reception = Reception()
+        for k in range(600):
+            if rng.random() < share:
+                reception.count_frame(k // 10 & 0xFF, 0.1 * k)
+        measured += reception.arrivals(60.0)[1] > 0.0
+    assert measured <= 40 * most
+
+
+def test_a_frame_that_is_received_twice_at_once_is_no_repetition():
+    reception = Reception()
+    for k in range(100):
+        for copy in range(3):
+            reception.count_frame(k & 0xFF, k + 0.01 * copy)
+    assert reception.arrivals(99.0)[1] > 5.0
+
+
 def test_a_changed_rate_is_seen_within_seconds():
     reception = stream(10, 0.5, 30.0)
     assert reception.rate(30.0) == 10

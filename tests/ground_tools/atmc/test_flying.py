@@ -263,7 +263,7 @@ def test_evaluate_prints_one_object(learned, tmp_path, capsys):
         (["--objective", "awareness"], "trained for 'paper'"),
         (["--load", "0.5"], "--load: the paper's objective"),
         (["--load", "2"], "--load: 2 is out of range; allowed: 0 to 0.95"),
-        (["--samples", "1"], "--samples: 1 is out of range; allowed: 2 or more"),
+        (["--samples", "0"], "--samples: 0 is out of range; allowed: 1 or more"),
         (["--seed", "-1"], "--seed: -1 is out of range; allowed: 0 to 4294967295"),
         (["--sigma", "99"], "--sigma: 99 is out of range; allowed: 0 to 30"),
     ],

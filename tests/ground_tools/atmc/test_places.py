@@ -80,3 +80,12 @@ def test_places_without_weight_do_not_count_as_worse():
 
 def test_an_action_that_is_not_allowed_is_not_the_best_fixed_one():
     assert places().report(np.array([False, True]), ACTIONS)["best_fixed"] == "0+0+2"
+
+
+def test_few_places_have_no_interval():
+    """The bootstrap of a few skewed values is too narrow."""
+    ends = {"vs_best_fixed_low_pct", "vs_best_fixed_high_pct"}
+    assert ends <= report(places(0.97, count=30, spread=0.01)).keys()
+    found = report(places(0.97, count=29, spread=0.01))
+    assert not ends & found.keys()
+    assert "Against the best fixed mode: -3.0 % (too few places for an interval)." in _tail(found)

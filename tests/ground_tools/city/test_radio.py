@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.arrays import Floats, Integers
+from companion.atmc.choice import Choice
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
 from companion.atmc.policy import load
 from companion.remote_id.region import Region
@@ -152,15 +153,19 @@ def test_a_policy_chooses_as_aboard() -> None:
     data = shipped(POLICY).read_bytes()
     policy = load(data, "policy")
     rng = np.random.default_rng(5)
-    counts = np.array([0, 1, 7, 40, 99, 100])
+    counts = np.array([0, 1, 7, 40, 99, 100, 3, 130])
     rows = rng.random((int(counts.sum()), len(NEIGHBOUR_COLUMNS))).astype(np.float32)
     rows[:, 0] *= 0.9
     own = rng.random((len(counts), len(OWN_COLUMNS)))
+    ends = np.cumsum(counts)
+    rows[ends[6] - 1, 2] = 7.0  # far outside of what the policy was trained with
     chooser = ByPolicy(data, "policy", Region(), 10, 200)
     values, refused = chooser.values(Seen(own, rows, counts, np.zeros(len(counts))))
-    assert refused.tolist() == [False] * 5 + [True]
-    ends = np.cumsum(counts)
-    for one in range(5):
-        wanted = policy.values(own[one], rows[ends[one] - counts[one] : ends[one]])
+    assert refused.tolist() == [False] * 6 + [True, False]
+    for one in (0, 1, 2, 3, 4, 5, 7):
+        seen = rows[ends[one] - counts[one] : ends[one]]
+        choice = policy.choose(own[one], seen, np.ones(len(policy.actions), bool), None)
+        assert isinstance(choice, Choice)
+        assert values[one].argmax() == choice.index
+        wanted = policy.values(own[one], seen[np.sort(np.argsort(seen[:, 0], kind="stable")[:99])])
         assert values[one] == pytest.approx(wanted, rel=1e-4, abs=1e-4)
-        assert values[one].argmax() == wanted.argmax()
