@@ -241,7 +241,7 @@ def test_evaluate_prints_one_object(learned, tmp_path, capsys):
         "search_dynamic_ms",
         "decision_us_median",
         "switches_per_min",
-        "vs_best_fixed_low_pct",
+        "vs_best_fixed_pct",
         "places_worse_pct",
         "ratio_p99",
         "worse_side_10000",
