@@ -182,6 +182,7 @@ class Traffic:
             if fix.velocity is not None and math.hypot(*fix.velocity) > self.config.max_speed_mps:
                 fix.velocity, fix.too_fast = None, True
                 self.counts.implausible += 1
+            source.redate(fix, now_s)
             self.counts.clock += fix.stamp_s is None
             source.fed.clear()
             track = self._take(source, fix, now_s)
