@@ -212,6 +212,8 @@ class MotionWindow:
     north_m: float = 0.0
     east_m: float = 0.0
     slack_m: float = 0.0
+    moved_mps: tuple[float, float] = (0.0, 0.0)
+    """Velocity (north, east) that the positions showed in the last window that disagreed."""
 
     def check(self, fix: Fix, now_s: float) -> bool | None:
         """Add the next fix. At the end of a window, return whether positions and velocities disagree; else
@@ -245,7 +247,13 @@ class MotionWindow:
         )
         speed = max(math.hypot(*(f.velocity or (0.0, 0.0))[:2]) for f in (start, fix))
         allowed = self.slack_m + _NOISES * (noise_m(start.content) + noise_m(fix.content)) + speed * jitter_s
-        return off > allowed + _QUANTUM * math.hypot(self.north_m, self.east_m)
+        if off <= allowed + _QUANTUM * math.hypot(self.north_m, self.east_m):
+            return False
+        self.moved_mps = (
+            (fix.position[0] - start.position[0]) / self.span_s,
+            (fix.position[1] - start.position[1]) / self.span_s,
+        )
+        return True
 
 
 _WINDOW_S: Final = 5.0
