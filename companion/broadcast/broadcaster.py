@@ -36,8 +36,8 @@ MAX_RATE = 10
 _DETAIL = 100
 """Number of characters of a radio's own text that are sent to the pilot: two STATUSTEXT chunks."""
 _WELL_AFTER_S = 5.0
-"""Remote ID counts as working again after this long without trouble, so that the pilot is told of
-intermittent trouble only once."""
+"""Remote ID counts as working again after this long without trouble, so that the pilot and the autopilot are
+told of intermittent trouble only once."""
 _TELL_PERIOD_S = 5.0
 """Least time between two reports of trouble to the pilot."""
 _NOTHING = Decided({}, False, "no radio has reported yet")
@@ -71,6 +71,8 @@ class Broadcaster:
         """The trouble last reported to the pilot."""
         self._said_s = self._trouble_s = -math.inf
         self._arm_status: ArmStatus | None = None
+        self._unready_s = -math.inf
+        """When the vehicle was last not ready to be armed because of Remote ID."""
         self._lacking: str | None = None
         self._lacking_told: set[str] = set()
         self._lacking_s = -math.inf
@@ -164,7 +166,7 @@ class Broadcaster:
         self._tell_pilot(commands, now_s)
         self._tell_lacking(own, commands, now_s)
         if self._config.remote_id.component:
-            self._report(commands)
+            self._report(commands, now_s)
         return commands
 
     def _messages(self, own: Ownship, now_s: float) -> tuple[Message, ...]:
@@ -229,9 +231,15 @@ class Broadcaster:
         self._lacking_s = now_s
         commands.append(Say(severity=Severity.WARNING, text=f"DMUCA Remote ID: {lacking}"))
 
-    def _report(self, commands: list[Command]) -> None:
-        """Report OPEN_DRONE_ID_ARM_STATUS, if we are the vehicle's Remote ID component."""
+    def _report(self, commands: list[Command], now_s: float) -> None:
+        """Report OPEN_DRONE_ID_ARM_STATUS, if we are the vehicle's Remote ID component. What is missing is
+        reported at once, and its end after `_WELL_AFTER_S`: a radio that only seems to work now and then must
+        not let the vehicle be armed."""
         text = self.trouble or self._lacking
+        if text is not None:
+            self._unready_s = now_s
+        elif now_s - self._unready_s < _WELL_AFTER_S:
+            return
         status = ArmStatus(ready=text is None, text=text or "")
         if status != self._arm_status:
             self._arm_status = status

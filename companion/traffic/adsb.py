@@ -5,6 +5,11 @@ A barometric one cannot: transponders send the pressure altitude of the standard
 for each hectopascal that the day's pressure differs, and receivers pass it on unchanged. It is compared with
 our own pressure altitude, in which there is the same weather. While that is not known, a barometric altitude
 separates aircraft only if the difference is larger than any weather error (`BAROMETRIC_M`).
+
+Reports are checked against each other. One that its aircraft cannot have sent is taken for another
+aircraft's. If only its altitude is impossible, either altitude may be the wrong one: then the height of the
+new aircraft counts as unknown for a while, and it is avoided at any height. A velocity that the positions
+contradict for several seconds is corrected by what they show (`Drift`).
 """
 
 from __future__ import annotations
@@ -27,6 +32,7 @@ from companion.traffic.eviction import (
     allowance_of,
     margin_m,
 )
+from companion.traffic.plausibility import Drift
 from companion.traffic.right_of_way import CREWED, FREE, share_of
 
 SIGMA_M = 15.0
@@ -65,7 +71,18 @@ _OFF_M, _TURNS_MPS2, _FASTEST_MPS = 300.0, 20.0, 600.0
 and of the age, plus what the aircraft may have turned and accelerated since (`_TURNS_MPS2`), up to
 `_FASTEST_MPS`."""
 _APART_S = 1.0
+_STEP_M, _CLIMB_MPS, _WEATHER_M = 50.0, 51.0, BAROMETRIC_M
+"""How far an altitude may be from the last one: `_STEP_M`, and `_CLIMB_MPS` for the time between them, and
+`_WEATHER_M` if one is geometric and the other barometric. TCAS II (version 7.1) takes no aircraft for a
+threat whose altitudes change faster than 10,000 ft/min, which is 51 m/s. `_STEP_M` allows for altitudes in
+steps of 100 ft, and for an age that is wrong by a second while the aircraft climbs at 20 m/s."""
+DOUBTED_S = 60.0
+"""A height counts as unknown for this long after such a change, as far as the law looks ahead
+(`kernels.crewed.HORIZON_S`)."""
+_NOISE_M = 3.0 * math.sqrt(2.0) * SIGMA_M
 _STILL: Vec3 = (0.0, 0.0, 0.0)
+_Height = tuple[float, float, bool]
+"""Time of a report with a known height, that height (NED down, m), and whether it is barometric."""
 _NOT_CREWED = frozenset({14, 17, 18, 19})
 """ADSB_EMITTER_TYPE of UAV, surface vehicles and point obstacles: the separation from drones suffices."""
 
@@ -74,6 +91,8 @@ _NOT_CREWED = frozenset({14, 17, 18, 19})
 class _Seen:
     position: Vec3
     velocity: Vec3
+    reported: Vec3
+    """Velocity as reported."""
     velocity_sent: bool
     """Whether it reported its velocity. Otherwise it is computed from two positions."""
     at_s: float
@@ -90,6 +109,14 @@ class _Seen:
     """When it was last a threat (our monotonic time)."""
     anchor: _Seen | None
     """Earlier report to derive a velocity from; a second or more before this one if there is one."""
+    height: _Height | None
+    """The last known height."""
+    doubted_until_s: float
+    """Until when its height counts as unknown, because the address had an impossibly different one before."""
+    level: Drift
+    """Compares positions and velocities: north and east."""
+    upright: Drift
+    """The same for the height."""
 
 
 class AdsbTraffic:
@@ -152,28 +179,37 @@ class AdsbTraffic:
         if math.hypot(position[0] - own[0], position[1] - own[1]) > _MAX_RANGE_M:
             return
         told = (event.lat_deg, event.lon_deg, event.alt_m, event.velocity_ned_mps)
-        name = self._name(event.icao, position, told, at_s)
+        barometric = not event.alt_geometric
+        height = None if alt_msl_m is None else (at_s, position[2], barometric)
+        name, jumped = self._name(event.icao, position, height, told, at_s)
         before = self._seen.get(name)
         # ArduPilot repeats the last report for seconds, always with its first age. Reports of an aircraft
         # that stands still look the same.
         repeated = before is not None and told == before.told and at_s - before.at_s <= _REPEATED_S
-        if before is not None and (at_s <= before.at_s or (repeated and event.velocity_ned_mps != _STILL)):
+        moves = event.velocity_ned_mps != _STILL or (before is not None and before.level.found)
+        if before is not None and (at_s <= before.at_s or (repeated and moves)):
             return
+        doubted_until_s = now_s + DOUBTED_S if jumped else -math.inf
         self._seen.pop(name, None)
         seen = self._seen[name] = _Seen(
             position=position,
             velocity=event.velocity_ned_mps or (_STILL if before is None else before.velocity),
+            reported=event.velocity_ned_mps or _STILL,
             velocity_sent=event.velocity_ned_mps is not None,
             at_s=at_s,
             alt_m=event.alt_m or 0.0,
-            vertical_known=alt_msl_m is not None,
-            barometric=not event.alt_geometric,
+            vertical_known=height is not None,
+            barometric=barometric,
             crewed=event.emitter not in _NOT_CREWED,
             told=told,
             turn_rps=0.0,
             reports=1 if before is None else before.reports + 1,
             threat_s=-math.inf if before is None else before.threat_s,
             anchor=before,
+            height=height if before is None else height or before.height,
+            doubted_until_s=before.doubted_until_s if before is not None else doubted_until_s,
+            level=Drift(_NOISE_M, SIGMA_MPS) if before is None else before.level,
+            upright=Drift(_NOISE_M, SIGMA_MPS) if before is None else before.upright,
         )
         if before is not None:
             # A velocity from two positions needs reports that are not too close in time, at any report rate.
@@ -185,24 +221,39 @@ class AdsbTraffic:
             if before.velocity_sent and seen.velocity_sent:
                 # The noise of velocities from positions would be taken for turns.
                 passed_s = at_s - before.at_s
-                seen.turn_rps = k.turn_rate(before.turn_rps, before.velocity, seen.velocity, passed_s)
+                seen.turn_rps = k.turn_rate(before.turn_rps, before.reported, seen.reported, passed_s)
+                _correct(seen, before, passed_s)
         self._rank(name, now_s)
         if len(self._seen) > MOST:
             self._make_room(now_s)
 
-    def _name(self, icao: int, position: Vec3, told: tuple[object, ...], at_s: float) -> str:
+    def _name(
+        self, icao: int, position: Vec3, height: _Height | None, told: tuple[object, ...], at_s: float
+    ) -> tuple[str, bool]:
         """Name of the aircraft that a report is about, such as `4B1234`. If that aircraft cannot be at the
-        reported place, another one uses its address and is named `4B1234/2`; both are kept."""
-        free = 0
+        reported place, another one uses its address and is named `4B1234/2`; both are kept. If several can
+        be there, it is the one whose height is nearest.
+
+        Returns:
+            The name, and whether the aircraft could be there, but not at that height.
+        """
+        free, best, least_m, jumped = 0, "", math.inf, False
         for place in range(1, self._places + 2):
             name = f"{icao:06X}" if place == 1 else f"{icao:06X}{PLACE}{place}"
             seen = self._seen.get(name)
-            if seen is not None and (told == seen.told or _may_be(seen, position, at_s)):
-                return name
             if seen is None:
                 free = free or place
+            elif told == seen.told:
+                return name, False
+            elif _may_be(seen, position, at_s):
+                off_m, allowed_m = _jump_m(seen.height, height)
+                jumped = jumped or off_m > allowed_m
+                if off_m <= allowed_m and off_m < least_m:
+                    best, least_m = name, off_m
+        if best:
+            return best, False
         self._places = max(self._places, free)
-        return f"{icao:06X}" if free == 1 else f"{icao:06X}{PLACE}{free}"
+        return f"{icao:06X}" if free == 1 else f"{icao:06X}{PLACE}{free}", jumped
 
     def _make_room(self, now_s: float) -> None:
         """Remove one aircraft, unless there are expired ones."""
@@ -216,7 +267,7 @@ class AdsbTraffic:
         """Update the aircraft's standing in the ranking. Consecutive addresses share an allowance."""
         seen = self._seen[name]
         age_s = max(0.0, now_s - seen.at_s)
-        position, known = self._placed(seen, self.judgement.position[2])
+        position, known = self._placed(seen, self.judgement.position[2], now_s)
         margin = margin_m(SIGMA_M, SIGMA_MPS, age_s, 0.0)
         motion = Motion(position, seen.velocity, age_s, margin, known, seen.crewed)
         trust = Trust.ESTABLISHED if seen.reports >= ESTABLISHED else Trust.FRESH
@@ -226,8 +277,10 @@ class AdsbTraffic:
             seen.threat_s = now_s
         self._ranking.place(name, standing)
 
-    def _placed(self, seen: _Seen, own_down_m: float) -> tuple[Vec3, bool]:
+    def _placed(self, seen: _Seen, own_down_m: float, now_s: float) -> tuple[Vec3, bool]:
         """Position of an aircraft relative to ours, and whether its height is known."""
+        if now_s < seen.doubted_until_s:
+            return seen.position, False
         if not (seen.barometric and seen.vertical_known):
             return seen.position, seen.vertical_known
         north, east, down = seen.position
@@ -262,7 +315,7 @@ class AdsbTraffic:
         """Like `neighbours`, but without a change of state, so that a status display does not affect
         replays."""
         return [
-            _neighbour(name, seen, now_s, *self._placed(seen, own_down_m))
+            _neighbour(name, seen, now_s, *self._placed(seen, own_down_m, now_s))
             for name, seen in self._seen.items()
             if now_s - seen.at_s <= EXPIRE_S
         ]
@@ -276,6 +329,27 @@ def _may_be(seen: _Seen, position: Vec3, at_s: float) -> bool:
     off_m = math.hypot(position[0] - n - vn * (at_s - seen.at_s), position[1] - e - ve * (at_s - seen.at_s))
     turned_m = 0.5 * _TURNS_MPS2 * apart_s * apart_s if known else math.inf
     return off_m <= _OFF_M + min(turned_m, _FASTEST_MPS * apart_s)
+
+
+def _jump_m(last: _Height | None, height: _Height | None) -> tuple[float, float]:
+    """Difference of a reported height from the last known one, and the largest that is possible (m)."""
+    if last is None or height is None:
+        return 0.0, 0.0
+    allowed_m = _STEP_M + _CLIMB_MPS * abs(height[0] - last[0])
+    return abs(height[1] - last[1]), allowed_m if height[2] == last[2] else allowed_m + _WEATHER_M
+
+
+def _correct(seen: _Seen, before: _Seen, passed_s: float) -> None:
+    """Correct the velocity of a report if the positions contradict the velocities."""
+    (n, e, d), (bn, be, bd) = seen.position, before.position
+    (vn, ve, vd), (wn, we, wd) = seen.reported, before.reported
+    seen.level.add((n - bn, e - be), (wn, we), (vn, ve), passed_s)
+    alike = seen.vertical_known and before.vertical_known and seen.barometric == before.barometric
+    if alike:
+        seen.upright.add((d - bd, 0.0), (wd, 0.0), (vd, 0.0), passed_s)
+    if seen.level.found or seen.upright.found:
+        (x, y), z = seen.level.error_mps, seen.upright.error_mps[0]
+        seen.velocity, seen.turn_rps = (vn + x, ve + y, vd + z), 0.0
 
 
 def _neighbour(name: str, seen: _Seen, now_s: float, position: Vec3, known: bool) -> Neighbour:

@@ -3,7 +3,8 @@
 A track whose messages contradict one another is avoided at each place that they reported (`Belief`). The id
 of such a place is that of the track with `ASIDE` and a number. A track whose signal strength contradicts its
 position is also avoided at the place that the signal strength suggests; the id of that place is that of the
-track with `SIGNAL_PLACE`.
+track with `SIGNAL_PLACE`. A track whose positions do not follow its velocity is also avoided with the
+velocity that the positions show, under its id with `MOVED_PLACE`.
 """
 
 from __future__ import annotations
@@ -18,12 +19,15 @@ import msgspec
 from companion.avoidance import kernels
 from companion.avoidance.law import ASIDE, SIGMAS, Neighbour
 from companion.traffic.fix import Belief
+from companion.traffic.plausibility import Flag
 from companion.traffic.right_of_way import rank_of, share_of
 from companion.traffic.signal_strength import Suspicion
 from companion.traffic.track import Track
 
 SIGNAL_PLACE: Final = f"{ASIDE}signal"
 """Suffix of a track's id for the place that its signal strength points to."""
+MOVED_PLACE: Final = f"{ASIDE}moved"
+"""Suffix of a track's id for the track with the velocity that its positions show."""
 _MOST_ASIDE: Final = 50
 """Largest number of places of contradicting messages that the law is given. Tracks, and places that a signal
 strength points to, are not counted."""
@@ -72,6 +76,11 @@ def neighbours_of(
         for other, track in zip(present, tracks, strict=True)
         if track.signal.suspicion.beside > kernels.BESIDE
     ]
+    moved = [
+        _moved(other, track)
+        for other, track in zip(present, tracks, strict=True)
+        if track.doubts.flags and Flag.VELOCITY_MISMATCH in track.doubts.flags
+    ]
     aside = [
         (loss_s(belief), f"{other.track_id}{ASIDE}{number}", other, belief)
         for other, track in zip(present, tracks, strict=True)
@@ -83,6 +92,7 @@ def neighbours_of(
     return (
         present
         + signalled
+        + moved
         + [
             msgspec.structs.replace(
                 other,
@@ -106,6 +116,17 @@ def _signalled(there: Neighbour, suspicion: Suspicion) -> Neighbour:
         there,
         track_id=there.track_id + SIGNAL_PLACE,
         position_ned_m=(north + suspicion.north_m, east + suspicion.east_m, down),
+        proven=False,
+    )
+
+
+def _moved(there: Neighbour, track: Track) -> Neighbour:
+    """A track with the velocity that its positions show. Nobody has proven that velocity."""
+    (north, east), (_, _, down) = track.motion.moved_mps, there.velocity_ned_mps
+    return msgspec.structs.replace(
+        there,
+        track_id=there.track_id + MOVED_PLACE,
+        velocity_ned_mps=(north, east, down),
         proven=False,
     )
 

@@ -212,6 +212,8 @@ class MotionWindow:
     north_m: float = 0.0
     east_m: float = 0.0
     slack_m: float = 0.0
+    moved_mps: tuple[float, float] = (0.0, 0.0)
+    """Velocity (north, east) that the positions showed in the last window that disagreed."""
 
     def check(self, fix: Fix, now_s: float) -> bool | None:
         """Add the next fix. At the end of a window, return whether positions and velocities disagree; else
@@ -245,7 +247,13 @@ class MotionWindow:
         )
         speed = max(math.hypot(*(f.velocity or (0.0, 0.0))[:2]) for f in (start, fix))
         allowed = self.slack_m + _NOISES * (noise_m(start.content) + noise_m(fix.content)) + speed * jitter_s
-        return off > allowed + _QUANTUM * math.hypot(self.north_m, self.east_m)
+        if off <= allowed + _QUANTUM * math.hypot(self.north_m, self.east_m):
+            return False
+        self.moved_mps = (
+            (fix.position[0] - start.position[0]) / self.span_s,
+            (fix.position[1] - start.position[1]) / self.span_s,
+        )
+        return True
 
 
 _WINDOW_S: Final = 5.0
@@ -260,6 +268,93 @@ not of exactly the same moment."""
 _RECEPTION_JITTER_S: Final = 2.0
 _QUANTUM: Final = 0.02
 """Error relative to the displacement, because directions are in whole degrees."""
+
+
+@dataclass(slots=True)
+class Drift:
+    """Compares positions of ADS-B with the velocities reported meanwhile, by the rule of `MotionWindow`, and
+    finds the error of the velocities. It has two axes.
+
+    If the positions of two windows in succession leave what the velocities say at nearly the same speed, that
+    speed is the error. Positions or velocities that contradict each other show nothing: one report from
+    another place makes two windows that differ.
+
+    Args:
+        noise_m: distance by which noise may move two positions apart.
+        noise_mps: error of each velocity, one standard deviation.
+    """
+
+    noise_m: float
+    noise_mps: float
+    error_mps: tuple[float, float] = (0.0, 0.0)
+    """What to add to a reported velocity."""
+    suspected_mps: tuple[float, float] = (0.0, 0.0)
+    """The same by the last window alone."""
+    span_s: float = 0.0
+    x_m: float = 0.0
+    y_m: float = 0.0
+    slack_m: float = 0.0
+
+    @property
+    def found(self) -> bool:
+        """Whether the reported velocity is wrong."""
+        return self.error_mps != (0.0, 0.0)
+
+    def add(
+        self,
+        moved_m: tuple[float, float],
+        before_mps: tuple[float, float],
+        now_mps: tuple[float, float],
+        passed_s: float,
+    ) -> None:
+        """Take in the next report.
+
+        Args:
+            moved_m: change of the position since the last one.
+            before_mps, now_mps: velocities of both.
+        """
+        if passed_s > _GAP_S:
+            self._begin()
+            return
+        if math.dist(before_mps, now_mps) > _TURN_MPS + _TURN_MPS2 * passed_s:
+            # They are from two senders. Neither of them is corrected.
+            self._begin()
+            self.error_mps = self.suspected_mps = (0.0, 0.0)
+            return
+        self.span_s += passed_s
+        self.x_m += moved_m[0] - 0.5 * passed_s * (before_mps[0] + now_mps[0])
+        self.y_m += moved_m[1] - 0.5 * passed_s * (before_mps[1] + now_mps[1])
+        self.slack_m += passed_s * (0.25 * _MANOEUVRE_MPS2 * passed_s + 2.0 * self.noise_mps)
+        if self.span_s >= _LEAST_SPAN_S:
+            self._look(max(math.hypot(*before_mps), math.hypot(*now_mps)))
+
+    def _look(self, speed_mps: float) -> None:
+        off_m, (x, y) = math.hypot(self.x_m, self.y_m), self.error_mps
+        if self.found and off_m <= math.hypot(self.x_m - self.span_s * x, self.y_m - self.span_s * y):
+            self.error_mps = self.suspected_mps = (0.0, 0.0)
+        elif off_m > self.noise_m + self.slack_m + _AGES_S * speed_mps:
+            error = self.x_m / self.span_s, self.y_m / self.span_s
+            if math.dist(error, self.suspected_mps) <= 0.5 * math.hypot(*error):
+                self.error_mps = error
+            self.suspected_mps = error
+        elif self.span_s >= _MOST_SPAN_S:
+            self.suspected_mps = self.error_mps
+        else:
+            return
+        self._begin()
+
+    def _begin(self) -> None:
+        self.span_s = self.x_m = self.y_m = self.slack_m = 0.0
+
+
+_LEAST_SPAN_S: Final = 3.0
+_MOST_SPAN_S: Final = 15.0
+"""Length of a window. It ends as soon as the positions leave the velocities by more than noise explains."""
+_AGES_S: Final = 1.0
+"""Error of the time between two reports, whose ages are whole seconds."""
+_TURN_MPS: Final = 10.0
+_TURN_MPS2: Final = 20.0
+"""Change of velocity that the reports of one aircraft may show."""
 
 
 @dataclass(slots=True)

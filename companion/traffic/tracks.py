@@ -182,6 +182,7 @@ class Traffic:
             if fix.velocity is not None and math.hypot(*fix.velocity) > self.config.max_speed_mps:
                 fix.velocity, fix.too_fast = None, True
                 self.counts.implausible += 1
+            source.redate(fix, now_s)
             self.counts.clock += fix.stamp_s is None
             source.fed.clear()
             track = self._take(source, fix, now_s)
@@ -311,7 +312,7 @@ class Traffic:
             self.counts.implausible += 1
             bad.append(Flag.IMPOSSIBLE_VALUES)
         for track in self._of(source):
-            track.unlocated = track.unlocated or fix is None
+            track.unlocated = track.unlocated or (fix is None and _located_by(track, source))
             self._judge.note(track, bad)
 
     def _take(self, source: Source, fix: Fix, now_s: float) -> Track | None:
@@ -397,6 +398,15 @@ class Traffic:
         self._judge.first_message(track, known, source, fix, now_s)
         self.counts.updates += 1
         return track
+
+
+def _located_by(track: Track, source: Source) -> bool:
+    """Whether a track's position is from an address. Of two transmitters of an aircraft, the one without a
+    position says nothing about where it is while the other one does."""
+    latest = track.latest
+    if (latest.transport, latest.address) == (source.latest.transport, source.latest.address):
+        return True
+    return source.last is not None and same(source.last.content, track.content)
 
 
 def _new_track(identity: str, newcomer: Newcomer, source: Source, fix: Fix, now_s: float) -> Track:

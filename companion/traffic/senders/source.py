@@ -11,9 +11,10 @@ from collections import OrderedDict, deque
 from dataclasses import dataclass, field
 
 from companion.remote_id.messages import Message
+from companion.traffic.fix import Fix
 from companion.traffic.latest_messages import LatestMessages
 from companion.traffic.senders.reception import Reception
-from companion.traffic.track import Track
+from companion.traffic.track import Track, same
 
 _REPORTED = 40
 """Frames with Locations that are remembered of an address: three seconds at 10 a second, and some more."""
@@ -58,6 +59,59 @@ class Source:
     reception: Reception = field(default_factory=Reception)
     tracks: int = 0
     """Number of tracks that it feeds."""
+    last: Fix | None = None
+    """Its last Location with a timestamp, as redated."""
+    last_s: float = -math.inf
+    """When that was received (our monotonic time)."""
+    slow_s: float = 0.0
+    """How far its clock has stepped back while it was heard; 0 once it is right again."""
+
+    def redate(self, fix: Fix, now_s: float) -> None:
+        """Correct the time of a Location if its sender's clock has stepped back.
+
+        A message that is dated back may also have been delayed, but then its position is that of its
+        timestamp. After a step the aircraft is where it is expected from the time of reception. A message
+        that fits its own timestamp ends the correction, so that a forged one does nothing to those that
+        follow.
+        """
+        last, passed_s, stamp_s = self.last, now_s - self.last_s, fix.stamp_s
+        if stamp_s is None:
+            return
+        if last is not None and last.stamp_s is not None and passed_s <= _STEP_WITHIN_S:
+            own_s, stepped_s = stamp_s - last.stamp_s, last.stamp_s + passed_s - stamp_s
+            noise_m = 2.0 + 2.0 * math.hypot(last.sigma_m, fix.sigma_m)
+            as_sent_m, redated_m = _off_m(last, fix, own_s), _off_m(last, fix, own_s + self.slow_s)
+            least_m = min(as_sent_m, redated_m)
+            if least_m <= noise_m + 0.5 * _TURNS_MPS2 * min(abs(own_s), passed_s) ** 2:
+                if redated_m > as_sent_m + noise_m:
+                    self.slow_s = 0.0
+            elif stepped_s >= _STEP_S:
+                bent_m = 0.5 * _GENTLE_MPS2 * passed_s * passed_s
+                if _off_m(last, fix, passed_s) <= min(noise_m + bent_m, 0.5 * least_m):
+                    self.slow_s = stepped_s
+        fix.stamp_s = stamp_s + self.slow_s
+        ahead = fix.stamp_s > now_s + _AHEAD_S
+        if not ahead and (last is None or not same(last.content, fix.content)):
+            self.last, self.last_s = fix, now_s
+
+
+_STEP_S, _STEP_WITHIN_S = 1.0, 5.0
+"""Least step back of a clock, and longest time between two messages that show it."""
+_AHEAD_S = 0.5
+"""A message that is dated ahead by more than this may be forged, and shows no step of the true ones."""
+_TURNS_MPS2, _GENTLE_MPS2 = 12.0, 5.0
+"""Accelerations that may explain a place: freely where a message fits its timestamp, little where it does
+not."""
+
+
+def _off_m(last: Fix, fix: Fix, passed_s: float) -> float:
+    """Distance of a Location from where the one before leads to in a time; 0 if no velocity is known."""
+    a, b = last.velocity, fix.velocity
+    if a is None or b is None:
+        return 0.0
+    north = fix.position[0] - last.position[0] - 0.5 * passed_s * (a[0] + b[0])
+    east = fix.position[1] - last.position[1] - 0.5 * passed_s * (a[1] + b[1])
+    return math.hypot(north, east)
 
 
 @dataclass(slots=True)

@@ -298,8 +298,27 @@ def test_arm_status_says_what_is_missing_then_that_all_is_there(bench):
     mine.stuck_position = False
     assert statuses(mine.step(40))[-1] == (False, "missing operator location")
     ground_station(mine, UTC_S + 1.0)
-    assert statuses(mine.step(3)) == [(True, "")]
+    assert not statuses(mine.step(90))
+    assert statuses(mine.step(15)) == [(True, "")]
     assert not statuses(mine.step(20))
+
+
+def test_arm_status_of_a_radio_that_seems_to_work_now_and_then_stays_bad(bench):
+    """Each second it tries again, and counts as able to send for one step."""
+    mine = configured(bench, component=True)
+    radio = (EtherRadio(address="x:1"),)
+    mine.core.broadcaster._config = msgspec.structs.replace(mine.core.config, radio=radio)
+    ground_station(mine, UTC_S + 1.0)
+    assert statuses(mine.step(200))[-1] == (True, "")
+    told = []
+    for step in range(400):
+        mine.extra.append(RadioState(can_send=("wifi",) if step % 20 == 19 else ()))
+        ground_station(mine, UTC_S + mine.now_s)
+        told += statuses(mine.step())
+    assert told == [(False, "Remote ID not sent: radio cannot send on wifi")]
+    mine.extra.append(RadioState(can_send=("wifi",)))
+    ground_station(mine, UTC_S + mine.now_s)
+    assert statuses(mine.step(130)) == [(True, "")]
 
 
 def test_arm_status_without_an_identity(bench):

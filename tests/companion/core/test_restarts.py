@@ -6,6 +6,7 @@ import pytest
 
 from companion.authority.table import State
 from companion.events import FlightMode, Landed
+from tests.companion.conftest import UTC_AT_ZERO_S
 
 
 def restart(bench, disarmed_s):
@@ -77,3 +78,19 @@ def test_a_gap_in_the_link_before_the_landing_takes_nothing_from_it(make_bench):
     bench.armed, bench.landed = False, Landed.ON_GROUND
     bench.step(2)
     assert bench.core.state is State.STANDBY
+
+
+def test_a_clock_that_wraps_after_49_days_is_taken_for_a_restart_and_flight_goes_on(make_bench):
+    """MAVLink counts milliseconds since boot in 32 bits."""
+    wrap_s, after_s = 2**32 / 1000.0, 10.0
+    bench = make_bench()
+    bench.boot_offset_s = wrap_s - after_s
+    bench.until(lambda: bench.core.state is State.GUARDING)
+    bench.until(lambda: bench.now_s >= after_s)
+    bench.boot_offset_s -= wrap_s
+    bench.step(2)
+    assert bench.core.state is State.FAULT
+    bench.step(100)
+    assert bench.core.in_control
+    assert bench.core.own.age_s(bench.now_s) < 0.1
+    assert bench.core.own.utc_offset_s == pytest.approx(UTC_AT_ZERO_S)

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from companion.events import AdsbVehicle, Say
+from companion.events import Say
 from companion.traffic.adsb import (
     BAROMETRIC_M,
     EXPIRE_S,
@@ -14,53 +14,9 @@ from companion.traffic.adsb import (
     PRESSURE_SIGMA_M,
     SIGMA_DOWN_M,
     SIGMA_MPS,
-    AdsbTraffic,
 )
+from tests.companion.traffic.sky import ICAO, OWN_DOWN_M, SEPARATION_M, STAMP_S, Sky, report
 from tests.support.place import HOME
-
-SEPARATION_M = 47.0
-OWN_DOWN_M = -50.0
-ICAO = 0x4B1234
-STAMP_S = 0.5
-"""Half of the whole second that an age is cut to."""
-
-
-def report(north_m=1000.0, east_m=0.0, down_m=-50.0, *, geometric=True, **over):
-    lat, lon, alt_msl_m = HOME.to_geodetic(north_m, east_m, down_m)
-    return AdsbVehicle(
-        **{
-            "icao": ICAO,
-            "lat_deg": lat,
-            "lon_deg": lon,
-            "alt_m": alt_msl_m + (SEPARATION_M if geometric else 0.0),
-            "alt_geometric": geometric,
-            "velocity_ned_mps": (0.0, 50.0, 0.0),
-            **over,
-        }
-    )
-
-
-class Sky:
-    """An AdsbTraffic with the arguments that do not change."""
-
-    def __init__(self, own_icao=None, separation_m=SEPARATION_M):
-        self.traffic = AdsbTraffic(own_icao)
-        self.separation_m = separation_m
-        self.own_ned_m = (0.0, 0.0, OWN_DOWN_M)
-        self.own_velocity_ned_mps = (0.0, 0.0, 0.0)
-        self.own_pressure_alt_m = None
-
-    def take(self, now_s, *reports):
-        self.traffic.note_own(now_s, self.own_ned_m, self.own_velocity_ned_mps, self.own_pressure_alt_m)
-        for one in reports:
-            self.traffic.hear(one, now_s, HOME, self.separation_m)
-
-    def at(self, now_s, own_down_m=OWN_DOWN_M):
-        return self.traffic.neighbours(now_s, own_down_m)
-
-    def only(self, now_s, own_down_m=OWN_DOWN_M):
-        (neighbour,) = self.at(now_s, own_down_m)
-        return neighbour
 
 
 def test_range_is_measured_from_us_and_not_from_where_the_flight_began():
@@ -133,11 +89,12 @@ def test_a_geometric_altitude_is_compared_with_the_geometric_one():
 
 def test_a_turn_is_told_to_the_law():
     """Three degrees a second to the right."""
-    sky = Sky()
+    sky, rate = Sky(), math.radians(3.0)
     for t in range(20):
-        course = math.radians(3.0 * t)
+        course, radius_m = rate * t, 50.0 / rate
         velocity = (50.0 * math.cos(course), 50.0 * math.sin(course), 0.0)
-        sky.take(10.0 + t, report(north_m=1000.0 + 50.0 * t, velocity_ned_mps=velocity))
+        place = (1000.0 + radius_m * math.sin(course), radius_m * (1.0 - math.cos(course)))
+        sky.take(10.0 + t, report(*place, velocity_ned_mps=velocity))
     assert sky.only(29.0).turn_rps == pytest.approx(math.radians(3.0), rel=1e-3)
 
 

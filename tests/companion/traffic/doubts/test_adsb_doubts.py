@@ -1,0 +1,112 @@
+"""ADS-B reports that contradict each other: velocities that positions do not follow, heights that jump."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.avoidance.kernels.crewed import HORIZON_S
+from companion.traffic.adsb import DOUBTED_S
+from tests.companion.traffic.sky import STAMP_S, Sky, report
+
+# ------------------------------------------------------------ velocities
+
+
+def test_a_helicopter_that_says_it_stands_flies_as_its_positions_show():
+    """ArduPilot repeats its reports meanwhile, which is no standing still."""
+    sky = Sky()
+    for second in range(60):
+        true = report(3000.0 - 40.0 * (second - second % 2), velocity_ned_mps=(0.0, 0.0, 0.0))
+        sky.take(10.0 + second, true)
+        if second >= 16:
+            found = sky.only(10.0 + second)
+            assert found.velocity_ned_mps == pytest.approx((-40.0, 0.0, 0.0), abs=6.0)
+            assert found.age_s == pytest.approx(STAMP_S + second % 2)
+
+
+@pytest.mark.parametrize(
+    "told", [(40.0, 0.0, 0.0), (-40.0, 40.0, 0.0), (-40.0, 0.0, -15.0), (250.0, 0.0, 0.0)]
+)
+def test_a_velocity_that_positions_contradict_is_corrected(told):
+    sky = Sky()
+    for second in range(30):
+        sky.take(10.0 + second, report(3000.0 - 40.0 * second, velocity_ned_mps=told))
+    assert sky.only(39.0).velocity_ned_mps == pytest.approx((-40.0, 0.0, 0.0), abs=0.1)
+
+
+def test_a_velocity_that_is_right_again_is_taken_within_seconds():
+    sky = Sky()
+    for second in range(40):
+        told = (0.0, 0.0, 0.0) if second < 20 else (-40.0, 0.0, 0.0)
+        sky.take(10.0 + second, report(3000.0 - 40.0 * second, velocity_ned_mps=told))
+        if second >= 28:
+            assert sky.only(10.0 + second).velocity_ned_mps == (-40.0, 0.0, 0.0)
+
+
+def test_the_noise_of_positions_corrects_no_velocity():
+    """Three standard deviations to either side, hovering and in flight, ages wrong by up to a second."""
+    for speed_mps in (0.0, 60.0):
+        sky, true = Sky(), (0.0, speed_mps, 0.0)
+        for second in range(60):
+            off_m, late_s = 45.0 * (-1) ** second, 0.3 * (second % 4)
+            place = 2000.0 + off_m, speed_mps * (second - late_s) - 2000.0
+            sky.take(10.0 + second, report(*place, velocity_ned_mps=true))
+            assert sky.only(10.0 + second).velocity_ned_mps == true
+
+
+@pytest.mark.parametrize("every", [2, 5, 9])
+def test_forged_reports_now_and_then_do_not_correct_a_true_velocity(every):
+    """They are near enough to be taken for the same aircraft's, and say that it stands."""
+    sky, true = Sky(), (-40.0, 0.0, 0.0)
+    for second in range(60):
+        now_s = 10.0 + second
+        sky.take(now_s, report(3000.0 - 40.0 * second, velocity_ned_mps=true))
+        assert sky.only(now_s).velocity_ned_mps == true
+        if second % every == 0:
+            forged = report(2950.0 - 40.0 * second, 280.0, velocity_ned_mps=(0.0, 0.0, 0.0))
+            sky.take(now_s + 0.1, forged)
+
+
+# ------------------------------------------------------------ heights that change impossibly
+
+
+def known(*downs_m):
+    """For each of some reports, one a second: names of the aircraft, and whether the height of each is
+    known."""
+    sky, found = Sky(), []
+    for second, down_m in enumerate(downs_m):
+        sky.take(10.0 + second, report(down_m=down_m or 0.0, **({"alt_m": None} if down_m is None else {})))
+        found.append({n.track_id: n.vertical_known for n in sky.at(10.0 + second)})
+    return found
+
+
+def test_after_a_jump_the_height_is_unknown_for_as_long_as_the_law_looks_ahead():
+    """It may have been wrong before, or is now. Meanwhile it is at the old height as well, as long as an
+    aircraft that fell silent."""
+    found = known(-50.0, -50.0, *[-350.0] * 70)
+    assert DOUBTED_S == HORIZON_S
+    assert found[1:3] == [{"4B1234": True}, {"4B1234": True, "4B1234/2": False}]
+    assert found[17:61] == [{"4B1234/2": False}] * 44
+    assert found[62:] == [{"4B1234/2": True}] * 10
+
+
+def test_who_forges_another_height_takes_nothing_from_the_true_one():
+    found = known(*[-50.0, -350.0] * 50)
+    assert found[1:] == [{"4B1234": True, "4B1234/2": False}] * 60 + [{"4B1234": True, "4B1234/2": True}] * 39
+
+
+def test_a_jump_is_found_over_a_report_without_a_height():
+    assert known(-50.0, None, -350.0)[-1] == {"4B1234": False, "4B1234/2": False}
+
+
+@pytest.mark.parametrize("climb_mps", [0.0, 30.0, -30.0, 51.0])
+def test_climbs_and_steps_of_a_hundred_feet_are_no_jumps(climb_mps):
+    downs_m = [round((-2000.0 - climb_mps * second) / 30.48) * 30.48 for second in range(40)]
+    assert known(*downs_m) == [{"4B1234": True}] * 40
+
+
+@pytest.mark.parametrize(("off_m", "one"), [(300.0, True), (-300.0, True), (500.0, False)])
+def test_another_kind_of_altitude_may_be_off_by_the_weather(off_m, one):
+    sky = Sky()
+    sky.take(10.0, report(down_m=-1500.0))
+    sky.take(11.0, report(down_m=-1500.0 + off_m, geometric=False))
+    assert (len(sky.at(11.0)) == 1) is one
