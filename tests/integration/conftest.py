@@ -31,6 +31,11 @@ MOCK_STALLED = "the vehicle flew on without its links"
 GIVEN_BACK = re.compile("-> (fault|yielded)")
 
 
+def stalled(companion: str, vehicles: str) -> bool:
+    """Whether a stall made a companion give its vehicle back, by its output and that of the mock vehicles."""
+    return bool((GIVEN_BACK if MOCK_STALLED in vehicles else STALLED).search(companion))
+
+
 class StalledError(AssertionError):
     """The flight cannot go on as the test needs it, because the machine stood still."""
 
@@ -102,11 +107,10 @@ class Child:
         The companion reported a stall of its own, or the mock vehicle one of its own. A companion that has
         ended with an error has not stalled.
         """
-        mock_stalled = any(MOCK_STALLED in child.output for child in self._siblings)
-        sought = GIVEN_BACK if mock_stalled else STALLED
+        everything = "".join(child.output for child in self._siblings)
         for child in self._siblings:
             going = child.process.poll() in (None, 0)
-            if child.must_not_stall and going and sought.search(child.output):
+            if child.must_not_stall and going and stalled(child.output, everything):
                 raise StalledError(child.output)
 
     def wait_for(self, pattern: str) -> re.Match[str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from companion import event_record
 from companion.runtime import clock
-from tests.integration.conftest import MOCK_STALLED, PATIENCE_S, STALLED, Child, again_after_a_stall
+from tests.integration.conftest import PATIENCE_S, Child, again_after_a_stall, stalled
 from tests.integration.test_companion_run import NAME, fly
 from tests.support import needs
 
@@ -75,8 +75,7 @@ def test_the_loop_keeps_its_time_while_the_viewer_is_watched_hangs_and_dies(star
     assert "rerun's web viewer ended with exit code -9" in live.output
     part()
     assert companion.end() == 0
-    stalled = STALLED.search(companion.output) or MOCK_STALLED in vehicle.output
-    assert stalled or "fault" not in companion.output
+    assert stalled(companion.output, vehicle.output) or "fault" not in companion.output
 
     with (folder / f"{NAME}.events").open("rb") as stream:
         times = [
