@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
@@ -58,6 +59,9 @@ def address():
         patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
         from ray.cluster_utils import Cluster
 
+        # Ray gives a node 30 s to start, which takes longer on a busy machine. It gets ten times as long.
+        patient = SimpleNamespace(time=time.time, sleep=time.sleep, monotonic=lambda: 0.1 * time.monotonic())
+        patch.setattr("ray._private.node.time", patient)
         node = {"num_cpus": 1, "object_store_memory": 80_000_000}
         cluster = Cluster(initialize_head=True, head_node_args={**node, "include_dashboard": False})
         try:

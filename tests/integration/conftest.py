@@ -18,12 +18,22 @@ import pytest
 
 PATIENCE_S = 180.0
 """On an idle machine a process begins within two seconds, on a busy one it may take more than a minute."""
+STALLS_EVERY_S = 20.0
+"""Longest time for which a flight that is flown again waits for the end of the next stall."""
 AGAIN_S = 300.0
 """Time from its beginning in which a test may begin to fly again. pytest ends it after twice as long."""
 STALLED = re.compile(
     r"the program was stopped for(.|\n)* -> (fault|yielded)|-> fault: the control loop is late"
 )
 """In a companion's log: the machine stood still for so long that the companion gave the vehicle back."""
+MOCK_STALLED = "the vehicle flew on without its links"
+"""In the log of a mock vehicle: it stood still, and its companion may have to give it back."""
+GIVEN_BACK = re.compile("-> (fault|yielded)")
+
+
+def stalled(companion: str, vehicles: str) -> bool:
+    """Whether a stall made a companion give its vehicle back, by its output and that of the mock vehicles."""
+    return bool((GIVEN_BACK if MOCK_STALLED in vehicles else STALLED).search(companion))
 
 
 class StalledError(AssertionError):
@@ -47,6 +57,7 @@ def again_after_a_stall(test: Callable[..., None]) -> Callable[..., None]:
                 test(start=start, tmp_path=folder, **others)
             except StalledError:
                 start.end_flight()
+                start.again = True
                 if time.monotonic() > give_up_s:
                     raise
                 number += 1
@@ -54,6 +65,17 @@ def again_after_a_stall(test: Callable[..., None]) -> Callable[..., None]:
                 return
 
     return flown
+
+
+def wait_for_the_end_of_a_stall() -> None:
+    """Return right after a stall of the machine, when the next one is farthest away."""
+    before_s = begins_s = time.monotonic()
+    while before_s - begins_s < STALLS_EVERY_S:
+        time.sleep(0.05)
+        now_s = time.monotonic()
+        if now_s - before_s > 0.5:
+            return
+        before_s = now_s
 
 
 class Child:
@@ -80,13 +102,15 @@ class Child:
         return self.log.read_text()
 
     def check_stall(self) -> None:
-        """Raise StalledError if a process of the test that must not stall reported a stall.
+        """Raise StalledError if a stall made a companion of the test give its vehicle back that must not.
 
-        One that has ended with an error has not stalled.
+        The companion reported a stall of its own, or the mock vehicle one of its own. A companion that has
+        ended with an error has not stalled.
         """
+        everything = "".join(child.output for child in self._siblings)
         for child in self._siblings:
             going = child.process.poll() in (None, 0)
-            if child.must_not_stall and going and STALLED.search(child.output):
+            if child.must_not_stall and going and stalled(child.output, everything):
                 raise StalledError(child.output)
 
     def wait_for(self, pattern: str) -> re.Match[str]:
@@ -124,6 +148,8 @@ class Start:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._children: list[Child] = []
+        self.again = False
+        """Whether a stall of the machine has prevented an earlier flight of this test."""
 
     def __call__(self, module: str, *arguments: object) -> Child:
         log = self._folder / f"child{len(self._children)}.log"

@@ -281,6 +281,7 @@ def test_the_pilot_takes_over(start, tmp_path):
     companion.wait_for("vehicle mode external")
     wait_for_setpoints(tmp_path, 30, companion)
     with Station(vehicle, companion) as station:
+        companion.must_not_stall = False  # it gives the vehicle back now
         station.send(station.writer.encoder.command_long_encode(1, 1, 176, 0, 1, 5, 0, 0, 0, 0, 0))
         companion.wait_for("-> yielded: mode changed to LOITER, not by the companion")
     companion.wait_for("yielded; vehicle mode sticks")

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration.conftest import STALLED
+from tests.integration.conftest import stalled
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "getting-started.md").read_text()
@@ -102,7 +102,8 @@ def follow(folder, programs, give_up_s):
         )
         try:
             while process.poll() is None:
-                if any(STALLED.search(path.read_text()) for path in folder.glob("first-flight/*.log")):
+                vehicles = (folder / "output.txt").read_text()
+                if any(stalled(path.read_text(), vehicles) for path in folder.glob("first-flight/*.log")):
                     return None
                 assert time.monotonic() < give_up_s, logs(folder)
                 time.sleep(0.2)

@@ -1,8 +1,9 @@
 """In real time, each a process of its own: one guarded on its mission and one flown on a path meet head-on,
 and an intruder behind sees nobody. Each firmware's manners are guarded once and flown once.
 
-Their way back to the path takes a third of the default time, because the test waits for it in real time. The
-default is flown in virtual time, by `tests/sitl_mocks/with_companion/test_guard.py`."""
+They meet near each other, with a small radius and a short way back, so that the encounter takes about 13 s: a
+stall of the machine ends it, and then it is flown again. The defaults are flown in virtual time, by
+`tests/sitl_mocks/with_companion/test_guard.py`."""
 
 from __future__ import annotations
 
@@ -18,10 +19,11 @@ from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.radio.ether.ether_radio import EtherTransport
 from companion.radio.frames_io import radio_address
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
-from tests.integration.conftest import again_after_a_stall
+from tests.integration.conftest import again_after_a_stall, wait_for_the_end_of_a_stall
 from tests.support.place import HOME
 
 GEOID_M = 47.0
+RADIUS_M = 2.5
 CONFIG = """
 [identity]
 uas_id = "{name}"
@@ -32,10 +34,12 @@ wait_s = 30.0
 take_in_flight = true
 {flight}
 [limits]
-max_speed_mps = 6.0
-max_acceleration_mps2 = 2.0
+max_speed_mps = 8.0
+max_acceleration_mps2 = 4.0
 [avoidance]
-recovery_time_s = 5.0
+conflict_radius_m = {radius_m}
+recovery_time_s = 2.0
+n_noncollide = 5
 [remote_id]
 transports = ["wifi"]
 rate = 2
@@ -109,14 +113,14 @@ class Intruder(threading.Thread):
         began = time.monotonic()
         while not self.ended.wait(0.1):
             passed, utc_s = time.monotonic() - began, time.time()
-            north, east = 210.0 - 3.0 * passed, 6.0
+            north, east = 38.0 - 4.0 * passed, 0.0
             self.places.append((utc_s, north, east, -50.0))
             if len(self.places) % 5 == 0:
                 lat_deg, lon_deg = place(north, east)
                 location = Location(
                     status=Status.AIRBORNE, lat_deg=lat_deg, lon_deg=lon_deg,
-                    alt_geodetic_m=450.0 + GEOID_M, direction_deg=180.0, speed_mps=3.0,
-                    vertical_speed_mps=0.0, horizontal_accuracy_m=3.0, vertical_accuracy_m=3.0,
+                    alt_geodetic_m=450.0 + GEOID_M, direction_deg=180.0, speed_mps=4.0,
+                    vertical_speed_mps=0.0, horizontal_accuracy_m=1.0, vertical_accuracy_m=1.0,
                     speed_accuracy_mps=0.3, timestamp_s=round(utc_s % 3600.0, 1),
                 )  # fmt: skip
                 name = BasicId(
@@ -127,14 +131,16 @@ class Intruder(threading.Thread):
 
     def close(self):
         self.ended.set()
-        self.join(60.0)
+        if self.ident is not None:
+            self.join(60.0)
         self.radio.close()
 
 
-def vehicle(start, tmp_path, name, firmware, system_id, north_m):
+def vehicle(start, tmp_path, name, firmware, system_id, north_m, *more):
+    """A vehicle in a mode from which no companion takes it."""
     child = start(
         "sitl_mocks.cli", "serve", "--firmware", firmware, "--airborne", "50", "--start", str(north_m), "0",
-        "--system-id", str(system_id), "--mode", "external" if firmware == "ardupilot" else "hold",
+        "--system-id", str(system_id), "--mode", "manual", *more,
         "--link", "udpin:127.0.0.1:0", "--link", "udpin:127.0.0.1:0", "--truth", tmp_path / f"{name}.csv",
     )  # fmt: skip
     child.wait_for("ready")
@@ -148,16 +154,31 @@ def least(one, other):
     return float(np.linalg.norm(times[:, 1:] - there, axis=1).min())
 
 
+def select(station, system_id, mode, companion, until):
+    """Select a mode until the companion acts on it: PX4 accepts a mission's mode right after the upload, and
+    does not enter it."""
+    for _ in range(20):
+        station.select(system_id, *mode)
+        end = time.monotonic() + 1.0
+        while time.monotonic() < end:
+            if until in companion.output:
+                return
+            companion.check_stall()
+            time.sleep(0.05)
+    companion.wait_for(until)
+
+
 @pytest.mark.parametrize("guarded", ["ardupilot", "px4"])
 @again_after_a_stall
 def test_head_on_with_one_that_cooperates_and_one_that_does_not(start, tmp_path, guarded):
     flown = "px4" if guarded == "ardupilot" else "ardupilot"
     air = start("sitl_mocks.cli", "ether", "--listen", "127.0.0.1:0", "--delay", "0.2", "0.8")
     ether = air.wait_for(r"ether on (\S+)").group(1)
-    _, (port_a, station_a) = vehicle(start, tmp_path, "a", guarded, 1, 0.0)
-    _, (port_b, _) = vehicle(start, tmp_path, "b", flown, 2, 150.0)
+    slow = "WPNAV_SPEED=100" if guarded == "ardupilot" else "MPC_XY_CRUISE=1"
+    vehicle_a, (port_a, station_a) = vehicle(start, tmp_path, "a", guarded, 1, 0.0, "--param", slow)
+    vehicle_b, (port_b, station_b) = vehicle(start, tmp_path, "b", flown, 2, 22.0)
     lines = ['altitude = "home"', "waypoint = ["]
-    for t_s, north_m in ((0.0, 150.0), (150.0, -300.0)):
+    for t_s, north_m in ((0.0, 22.0), (100.0, -378.0)):
         lat_deg, lon_deg = place(north_m, 0.0)
         lines.append(f"  {{ t_s = {t_s}, lat_deg = {lat_deg}, lon_deg = {lon_deg}, alt_m = 50.0 }},")
     (tmp_path / "t.toml").write_text("\n".join([*lines, "]"]))
@@ -166,24 +187,24 @@ def test_head_on_with_one_that_cooperates_and_one_that_does_not(start, tmp_path,
     for name, (port, flight) in uses.items():
         path = tmp_path / f"{name}.toml"
         path.write_text(
-            CONFIG.format(name=name, port=port, flight=flight, ether=ether, folder=tmp_path / "runs")
+            CONFIG.format(
+                name=name, port=port, flight=flight, ether=ether, folder=tmp_path / "runs", radius_m=RADIUS_M
+            )
         )
         companions[name] = start("companion.commands.cli", "run", "--config", path)
         companions[name].must_not_stall = True
-    intruder = station = None
+    a, b = companions["A"], companions["B"]
+    intruder = Intruder(ether)
+    stations = [Station(station_a), Station(station_b)]
     try:
-        companions["B"].wait_for("standby -> guarding")
-        intruder = Intruder(ether)
+        stations[0].upload(1, [(0.0, 0.0, 50.0), (1500.0, 0.0, 50.0)], guarded == "ardupilot")
+        for companion in (a, b):
+            companion.wait_for("the companion takes control only from")
+        if start.again:
+            wait_for_the_end_of_a_stall()
+        select(stations[0], 1, (3.0, 0.0) if guarded == "ardupilot" else (4.0, 4.0), a, "standby -> watching")
+        select(stations[1], 2, (4.0, 0.0) if flown == "ardupilot" else (4.0, 3.0), b, "standby -> guarding")
         intruder.start()
-        station = Station(station_a)
-        station.upload(1, [(0.0, 0.0, 50.0), (1500.0, 0.0, 50.0)], guarded == "ardupilot")
-        a = companions["A"]
-        for _ in range(20):  # PX4 accepts it right after the upload, and does not enter it
-            station.select(1, *((3.0, 0.0) if guarded == "ardupilot" else (4.0, 4.0)))
-            time.sleep(1.0)
-            if "standby -> watching" in a.output:
-                break
-        a.wait_for("standby -> watching")
         a.wait_for("watching -> avoiding: conflict with")
         a.wait_for("avoiding -> recovering")
         a.wait_for("recovering -> guarding")
@@ -195,16 +216,15 @@ def test_head_on_with_one_that_cooperates_and_one_that_does_not(start, tmp_path,
         assert item == (3 if guarded == "ardupilot" else 2)
         assert 5 < seconds < 120
         assert 3 < off_m < 60
-        companions["B"].wait_for("guarding -> avoiding")
+        b.wait_for("guarding -> avoiding")
     finally:
-        if station is not None:
+        for station in stations:
             station.socket.close()
-        if intruder is not None:
-            intruder.close()
-    for companion in companions.values():
-        assert companion.end() == 0
+        intruder.close()
+    for ended in (a, b, vehicle_a, vehicle_b):  # the vehicles write their last positions
+        assert ended.end() == 0
     a, b = (np.loadtxt(tmp_path / f"{n}.csv", delimiter=",", skiprows=1) for n in ("a", "b"))
     c = np.array(intruder.places)
-    assert least(a, b) > 10.0
-    assert least(a, c) > 10.0
-    assert least(b, c) > 10.0
+    assert least(a, b) > 2.0 * RADIUS_M
+    assert least(a, c) > 2.0 * RADIUS_M
+    assert least(b, c) > 2.0 * RADIUS_M

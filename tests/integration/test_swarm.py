@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 
-from tests.integration.conftest import PATIENCE_S, STALLED, StalledError, again_after_a_stall
+from tests.integration.conftest import PATIENCE_S, StalledError, again_after_a_stall, stalled
 from tests.support.waiting import until
 
 
@@ -21,7 +21,8 @@ def test_a_small_swarm_flies_and_ends_cleanly(start, tmp_path):
     assert report["ended_badly"] == []
     assert len(report["setpoint_gaps"]) == 2
     enough = all(gap["setpoints"] > 100 for gap in report["setpoint_gaps"].values())
-    if not enough and any(STALLED.search(log.read_text()) for log in folder.glob("DMUCA*.log")):
+    vehicles = "".join(log.read_text() for log in folder.glob("vehicle-*.log"))
+    if not enough and any(stalled(log.read_text(), vehicles) for log in folder.glob("DMUCA*.log")):
         raise StalledError
     assert enough
     assert len(report["air"]) == 2

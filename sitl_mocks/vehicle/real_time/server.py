@@ -2,7 +2,7 @@
 
 Only this module and `ports` use sockets, and only this module uses a clock and signals. The command prints
 one line per link with its actual port ("link udpin:127.0.0.1:14550"), then "ready". At its end it prints one
-JSON line with the final state of the vehicle.
+JSON line with the final state of the vehicle. Stalls of the process go to standard error.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from sitl_mocks.vehicle.real_time.trouble_input import TroubleInput
 from sitl_mocks.vehicle.sensing import Obstacle, SensorOptions
 
 _TRUTH_PERIOD_S = 0.1
+_STALL_S = 0.25
+"""A longer time without a turn is reported, as a companion reports its own stalls."""
 _EXAMPLE = """examples:
   sitl-mocks serve --firmware px4 --link udpout:127.0.0.1:14540
   sitl-mocks serve --link tcpin:127.0.0.1:5760 --link udpin:127.0.0.1:0 --airborne 50 --gnss-sigma 1.5 2.5 0.1
@@ -269,7 +271,7 @@ def run(args: argparse.Namespace) -> int:
             for name in server.names:
                 print(f"link {name}", flush=True)
             print("ready", flush=True)
-            start_s = time.monotonic()
+            start_s, turned_s = time.monotonic(), 0.0
             troubles = TroubleInput(sys.stdin.fileno()) if args.troubles else None
             with _truth(args.truth) as truth:
                 while not ended:
@@ -277,7 +279,12 @@ def run(args: argparse.Namespace) -> int:
                         troubles.read(server.vehicle.troubles)
                     now_s = time.monotonic() - start_s
                     server.wait(server.vehicle.now_s + STEP_S - now_s)
-                    server.turn(time.monotonic() - start_s)
+                    turns_s = time.monotonic() - start_s
+                    if turns_s - turned_s > _STALL_S:
+                        words = f"the program was stopped for {turns_s - turned_s:.1f} s"
+                        print(f"{words}; the vehicle flew on without its links", file=sys.stderr, flush=True)
+                    turned_s = turns_s
+                    server.turn(turns_s)
                     truth(server.vehicle)
             print(json.dumps(_left(server.vehicle)), flush=True)
     return 0

@@ -82,3 +82,18 @@ def test_only_what_the_companion_reports_is_a_stall(start, said, stalled):
                 child.check_stall()
         else:
             child.check_stall()
+
+
+@pytest.mark.parametrize("said", [OLD, "guarding -> yielded: mode changed to RTL, not by the companion\n"])
+def test_a_stall_of_the_mock_vehicle_excuses_a_companion_that_gives_it_back(start, said):
+    vehicle, companion = start("this"), start("this")
+    for child in (vehicle, companion):
+        assert child.process.wait(conftest.PATIENCE_S) == 0
+    companion.must_not_stall = True
+    companion.log.write_text(said)
+    companion.check_stall()
+    vehicle.log.write_text("the program was stopped for 1.2 s; the vehicle flew on without its links\n")
+    with pytest.raises(StalledError):
+        companion.check_stall()
+    companion.log.write_text("standby -> guarding: ready\n")
+    companion.check_stall()

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import signal
 import socket
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import Iterator
 
@@ -170,7 +172,7 @@ def test_arguments_become_options():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_process_prints_its_ports_and_ends_cleanly(number):
+def test_process_prints_its_ports_and_its_stalls_and_ends_cleanly(number):
     code = (
         "import argparse, sys\nfrom sitl_mocks.vehicle.real_time import server as v\n"
         "p = argparse.ArgumentParser(); v.add_arguments(p); sys.exit(v.run(p.parse_args()))"
@@ -178,12 +180,19 @@ def test_process_prints_its_ports_and_ends_cleanly(number):
     process = subprocess.Popen(
         [sys.executable, "-c", code, "--link", "udpin::0", "--airborne", "30"],
         stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
     )
     try:
         assert process.stdout is not None
+        assert process.stderr is not None
         assert port_of(process.stdout.readline()) > 0
         assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(0.5)
+        process.send_signal(signal.SIGCONT)
+        told = r"the program was stopped for \d+\.\d s; the vehicle flew on without its links\n"
+        assert re.fullmatch(told, process.stderr.readline())
         process.send_signal(number)
         said, _ = process.communicate(timeout=60)
         assert process.returncode == 0
