@@ -1,15 +1,19 @@
-# make demo | test | lint | bench | fuzz | site | packages: each first installs what it needs into .venv with pip.
+# make demo | test | installed | lint | bench | fuzz | site | packages: each first installs what it needs into .venv with pip.
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench fuzz site packages picture clean
+.PHONY: demo test installed lint bench fuzz site packages picture clean
 
 demo: .venv/base.stamp
 	$(BIN)/sitl-mocks demo
 
 test: .venv/dev.stamp
 	$(BIN)/pytest -n auto --dist loadfile
+
+# The commands of the docs, from the wheel in an empty environment. This needs a package index.
+installed: .venv/dev.stamp
+	$(BIN)/python -m tests.installed
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check .

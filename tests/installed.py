@@ -1,87 +1,107 @@
 """`python -m tests.installed` runs the commands of the docs from the wheel, in an empty environment.
 
-Nothing of the checkout is in reach of these commands: they run in a folder of their own, with the interpreter
-of the environment. What the docs count in hours is run with small numbers instead (`SMALLER`). `UNTRIED` has
-the commands that need what such an environment lacks; `tests/test_package.py` holds that each command of the
-docs is either run or in that list.
+Nothing of the checkout is in reach of these commands: each runs with the interpreter of the environment, in
+a folder of its own, which is a copy of one with the files that the docs name. What the docs count in hours is
+run with small numbers instead (`SMALLER`). `UNTRIED` has the commands that need what such an environment
+lacks; `tests/test_package.py` holds that each command of the docs is either run or in that list.
+
+Two commands run at a time. Beside them run those that wait for something, one after the other, because their
+ports are fixed. Nothing is left running: each command is a process group, which is killed when the command
+has ended and when this program is interrupted.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import re
+import resource
+import shlex
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import venv
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from tests.support import onboard_logs
+from tests.support import read_files
 
 ROOT: Final = Path(__file__).parents[1]
-EXTRAS: Final = "inspect"
+EXTRAS: Final = "inspect,search"
 SMALLER: Final = (
     (r"--seeds \d+-\d+", "--seeds 1-2"),
     (r"--samples \d+", "--samples 4"),
     (r"--encounters \d+", "--encounters 1"),
-    (r"--cases \d+", "--cases 20"),
-    (r"--duration \d+", "--duration 10"),
-    (r"--evaluations \d+", "--evaluations 2"),
-    (r"--hours 24", "--hours 0.01"),
-    (r"--real \d+ --jobs 3", "--real 1 --jobs 1"),
-    (r"--worst 3", "--worst 1"),
-    (r"--seconds \d+", "--seconds 2"),
-    (r"--aircraft 10", "--aircraft 3"),
-    (r"^(sitl-mocks demo)(?!.*(--aircraft|head_on|incident))", r"\1 --aircraft 2"),
+    (r"--cases \d+", "--cases 12"),
+    (r"--evaluations \d+", "--evaluations 10"),
+    (r"--hours 24", "--hours 0.06"),
+    (r"--worst 3", "--seeds 1-2 --worst 1"),
+    (r"--aircraft 10", "--aircraft 2"),
+    (r"^(sitl-mocks demo)(?!.*--(scenario|aircraft))", r"\1 --scenario head_on"),
+    (
+        r"--scenario \S+packets\.toml --policy (\S+)",
+        r"--scenario head_on --policy \1 "
+        "--channel packets --parameters config/channel/standard.toml",
+    ),
+    (r"^(sitl-mocks demo .*(?:packets|atmc)\.toml)", r"\1 --aircraft 2"),
     (r" \[[^]]*\]", ""),
     (r"^companion init", "companion init --force"),
     (r"--out /etc/dmuca/", "--out "),
-    (r"paper (all|readings)(?!.*--samples)", r"paper \1 --samples 4"),
-    (r"paper closed-loop(?!.*--out|.*--encounters)", "paper closed-loop --encounters 1"),
-    (r"paper closed-loop --encounters", "paper closed-loop --crowd 2 --out runs/loop --encounters"),
-    (r"^(ground-tools channel (table|plot))(?!.*--samples)", r"\1 --samples 4"),
+    (r"^(ground-tools paper (?:readings|dmuca))(?!.*--samples)", r"\1 --samples 4"),
+    (r"^(ground-tools paper closed-loop)(?!.*--policy|.*--conditions)", r"\1 --conditions sparse"),
+    (r"^(ground-tools paper closed-loop)(?=.*--policy)", r"\1 --conditions dense --crowd 2 --methods atmc"),
+    (r"^(ground-tools paper closed-loop)(?!.*--encounters)", r"\1 --encounters 1"),
+    (r"^(ground-tools channel (?:table|plot))(?!.*--samples)", r"\1 --samples 4"),
+    (r"^(ground-tools channel compare)", r"\1 --seconds 30 --environments 10"),
     (r"^(ground-tools city .*)--size \d+ \d+", r"\1--size 1 1 --minutes 0.2 --settle 2"),
-    (r"runs/(NAME|A)", "RUN_FOLDER"),
-    (r"runs/(OTHER|B)", "OTHER_FOLDER"),
+    (r"^(ground-tools paper city(?:-separation)?)\b(?!-)", r"\1 --aircraft 12 --minutes 0.5 --settle 10"),
+    (r"^(ground-tools paper city .*)--densities [\d ]+", r"\1--densities 8 "),
+    (r"^(ground-tools paper city )(?!.*--densities)", r"\1--densities 8 --methods fixed perfect "),
+    (r"^(ground-tools paper city-separation)(?!.*--methods)", r"\1 --methods policy perfect"),
+    (r"^(ground-tools paper city-separation)", r"\1 --separations 10 20"),
+    (r"^(ground-tools paper city.*?)(?: --seeds \S+)?$", r"\1 --seeds 1-2"),
+    (r"^(ground-tools campaign (?:encounters|peers|scenarios)(?!.*--seeds).*)", r"\1 --seeds 1-2"),
+    (r"--(file|picture) \S*/", r"--\1 "),
+    (r"^(ground-tools paper .*?) --out results/\S+", r"\1"),
+    (r"runs/(NAME|A)\b", "RUN_FOLDER"),
+    (r"runs/(OTHER|B)\b", "OTHER_FOLDER"),
     (r"(FLIGHT|flight)\.tlog", "RUN_FOLDER/DMUCA001.tlog"),
     (r"\bDIR\b", "tables"),
     (r"\bFILE\.kml", "flight.kml"),
     (r"--policy FILE", "--policy config/policies/atmc.safetensors"),
     (r"CASES\.json", "cases.json.gz"),
     (r"vectors\.json", "vectors.json.gz"),
-    (r"--child \S+ --child-key \S+", "--child 2001:3f:fe00:a05:260e:d437:6b25:6e28 --child-key CHILD_KEY"),
+    (r"--child \S+ --child-key \S+", "--child CHILD_TAG --child-key CHILD_KEY"),
 )
 """Pairs of a pattern in a command of the docs and what stands there instead when it is tried."""
 SERVES: Final = (
     r"sitl-mocks (serve|ether)",
     r"companion run",
-    r"companion status",
     r"companion remote-id listen",
     r"ground-tools inspect .*(--web|--live)",
 )
-"""Commands that go on until Ctrl-C, which is pressed after a few seconds."""
+"""Commands that go on until Ctrl-C, which is pressed a few seconds after their first words."""
 UNTRIED: Final = {
-    r"--law (sidestep|daidalus)": "a plug-in; tests/packaging/try_plugins.sh tries the former",
-    r"--scn |encounters --model": "files of others, which are downloaded",
-    r"bench-test (bench|watch|guard|pair)": "the run of a stage; its tests are in tests/companion/commands",
-    r"listen .*hci=": "a radio",
-    r"companion remote-id decode capture": "a capture",
-    r"ground-tools fly": "a vehicle, and the extra fly",
-    r"ground-tools atmc (train|evaluate|freeze|sweep|crosscheck)": "the extra train, and hours",
-    r"campaign (attacks|table|fences|peers)": "many minutes even with the smallest numbers",
-    r"--sweep": "many minutes even with the smallest numbers",
+    r"--law daidalus": "NASA's library, compiled by docs/examples/plugin-daidalus/build.sh",
+    r"bench-test (bench|watch|guard|pair)": "runs of flights that were flown for these stages; "
+    "tests/companion/commands/test_bench_test.py makes them",
+    r"listen .*hci=": "a Bluetooth controller, or rootcanal (tests/integration/test_rootcanal.py)",
+    r"ground-tools fly": "the extra fly and half a minute of real time; tests/ground_tools/fly flies these",
+    r"ground-tools atmc": "the extra train, a gigabyte; tests/ground_tools/atmc runs each of these commands",
+    r"paper dmuca --sweep": "20 minutes of a core, whatever is asked for",
     r"--schedule": "a file that only a failed examination writes",
+    r"swarm ": "an idle machine; it flies in real time (tests/integration/test_swarm.py)",
+    r"takeover --real": "an idle machine; it flies in real time",
     r"results (verify --sample|record)": "a checkout, or the extra train",
-    r"sitl-mocks (soak|swarm .*--faults|takeover .*(--trouble|--real|--only))": "many minutes",
-    r"paper city": "an hour of CPU time; a small one is among `MORE`",
-    r"paper (dmuca|all)": "minutes; the parts of `paper all` are tried one by one",
+    r"paper all": "minutes; its parts are tried one by one",
 }
 """Patterns of commands that are not tried, and what each would need."""
 MORE: Final = (
@@ -91,7 +111,6 @@ MORE: Final = (
     "ground-tools paper system-delay --samples 4",
     "ground-tools paper uav-delay --samples 4",
     "ground-tools paper fixed-modes --samples 4",
-    "ground-tools paper city --densities 8 --aircraft 12 --minutes 0.5 --settle 10 --methods fixed perfect",
     "ground-tools picture RUN_FOLDER --out picture.png",
     "sitl-mocks demo --scenario incident.toml",
     "companion remote-id --help",
@@ -99,10 +118,10 @@ MORE: Final = (
 """Commands beside those of the docs."""
 FAILS: Final = {
     r"companion check": "check: NOT ready",
-    r"companion (status|display)": "no companion runs on this computer",
+    r"companion (status|display)": "--socket",
     r"ground-tools results verify": "make it again",
 }
-"""Commands that end with exit code 1 or 2 here, and what they say."""
+"""Commands that may end with exit code 1 or 2 here, and what they say then."""
 FOLLOWED: Final = "getting-started.md"
 """Page whose commands belong together; tests/integration/test_getting_started.py runs them."""
 PAGES: Final = (
@@ -110,8 +129,10 @@ PAGES: Final = (
     ROOT / "README.md",
     ROOT / "results" / "README.md",
 )
-_SERVED_S: Final = 12.0
-_MOST_S: Final = 900.0
+_WAITS: Final = (*SERVES, r"companion (check|display|status)")
+"""Commands that hardly compute: they wait for a vehicle, a browser or Ctrl-C."""
+_AFTER_FIRST_WORDS_S: Final = 6.0
+_MOST_S: Final = 600.0
 
 
 def commands_of_the_docs() -> list[str]:
@@ -124,7 +145,8 @@ def commands_of(pages: Sequence[Path]) -> list[str]:
     found: dict[str, None] = {}
     for page in pages:
         text = re.sub(r"\s*\\\n\s*", " ", page.read_text())
-        for line in re.findall(r"^    ((?:companion|sitl-mocks|ground-tools) .*)", text, re.MULTILINE):
+        line_of_one = r"^    ((?:echo .* \| )?(?:companion|sitl-mocks|ground-tools) .*)"
+        for line in re.findall(line_of_one, text, re.MULTILINE):
             found[re.sub(r"\s+#.*", "", line).strip()] = None
     return list(found)
 
@@ -148,71 +170,183 @@ def first_things() -> Iterator[str]:
     yield "companion init --px4 --radio ether=127.0.0.1:14640 --region us --out my.toml"
     yield "companion init --ardupilot"
     yield "companion remote-id key hda.pem --raa 16376 --hda 10"
+    yield "companion remote-id key child.pem --raa 16376 --hda 10 > child.txt"
+    yield "ground-tools export RUN_FOLDER --scenario incident.toml"
+
+
+def chains(commands: Iterable[str]) -> tuple[list[str], list[list[str]]]:
+    """The commands that wait, and lists of the others, the longest first.
+
+    The commands of a list compile the same kernels, so they run one after the other and compile them once.
+    """
+    waiting: list[str] = []
+    lists: dict[str, list[str]] = {}
+    for command in commands:
+        words = _program(command).split()
+        if _is_one_of(_WAITS, command):
+            waiting.append(command)
+        elif "city" in command:
+            lists.setdefault("city", []).append(command)
+        else:
+            lists.setdefault(" ".join(words[:2]), []).append(command)
+    return waiting, sorted(lists.values(), key=len, reverse=True)
 
 
 @dataclass(frozen=True, slots=True)
+class Tried:
+    """What came of a command."""
+
+    command: str
+    good: bool
+    seconds: float
+    text: str
+
+    def told(self) -> bool:
+        """Print what came of it. Returns whether it is good."""
+        line = f"{'ok    ' if self.good else 'FAILED'} {self.seconds:5.0f} s  {self.command}"
+        print("\n    ".join((line, *([] if self.good else self.text.splitlines()[-12:]))), flush=True)
+        return self.good
+
+
+@dataclass(slots=True)
 class Place:
     """An empty environment with the wheel, and a folder far from the checkout."""
 
     folder: Path
     environment: Path
+    _running: set[int] = field(default_factory=set)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _stopped: bool = False
 
-    def run(self, command: str) -> tuple[bool, str]:
-        """Run a command as a user would. Returns whether it did what it should, and its output."""
-        log = self.folder / "output.txt"
+    def run(self, command: str, folder: Path | None = None) -> Tried:
+        """Run a command as a user would, in the folder or in another one."""
+        began_s = time.monotonic()
+        folder = folder or self.folder
+        log = folder / "output.txt"
         path = f"{self.environment / 'bin'}:{os.environ['PATH']}"
-        with log.open("w") as output:
+        with log.open("w") as output, self._lock:
+            if self._stopped:
+                raise InterruptedError
             process = subprocess.Popen(
-                ["bash", "-c", self._named(command)],
-                cwd=self.folder,
-                env=os.environ | {"PATH": path, "PYTHONPATH": ""},
+                ["bash", "-c", _named(command, folder)],
+                cwd=folder,
+                env=os.environ | {"PATH": path, "PYTHONPATH": "", "RUNTIME_DIRECTORY": str(folder)},
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
-            serves = any(re.match(pattern, command) for pattern in SERVES)
-            try:
-                code: int | None = process.wait(_SERVED_S if serves else _MOST_S)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGINT)
-                code = process.wait(30.0) if serves else None
+            self._running.add(process.pid)
+        try:
+            serves = _is_one_of(SERVES, command)
+            code = _served(process, log) if serves else process.wait(_MOST_S)
+        except subprocess.TimeoutExpired:
+            code = None
+        finally:
+            with self._lock:
+                self._running.discard(process.pid)
+            _kill(process.pid)
+            process.wait()
+        if self._stopped:
+            raise InterruptedError
         text = log.read_text()
         expected = next((words for pattern, words in FAILS.items() if re.match(pattern, command)), None)
-        if expected is not None and code in (1, 2):
-            return expected in text, text
         good = code == 0 or (serves and code in (130, -signal.SIGINT))
-        return good and "Traceback" not in text, text
+        good = good or (expected is not None and code in (1, 2) and expected in text)
+        return Tried(command, good and "Traceback" not in text, time.monotonic() - began_s, text)
 
-    def _named(self, command: str) -> str:
-        for name, runs in (("RUN_FOLDER", "first"), ("OTHER_FOLDER", "second")):
-            if (made := sorted((self.folder / runs).glob("*"))) and name in command:
-                command = command.replace(name, str(made[0].relative_to(self.folder)))
-        return command.replace("CHILD_KEY", "82ab" * 16)
+    def run_in_copies(self, commands: Sequence[str]) -> Iterator[Tried]:
+        """Run commands one after the other, each in a copy of the folder as it is now."""
+        for command in commands:
+            with tempfile.TemporaryDirectory(prefix="away-", dir=self.folder.parent) as copy:
+                shutil.copytree(self.folder, copy, dirs_exist_ok=True)
+                yield self.run(command, Path(copy))
+
+    def stop(self) -> None:
+        """Kill what runs, and start nothing more."""
+        with self._lock:
+            self._stopped = True
+            for group in self._running:
+                _kill(group)
+
+
+def _program(command: str) -> str:
+    """The command without what writes its input."""
+    return re.sub(r"^echo .* \| ", "", command)
+
+
+def _is_one_of(patterns: Sequence[str], command: str) -> bool:
+    return any(re.match(pattern, _program(command)) for pattern in patterns)
+
+
+def _kill(group: int) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(group, signal.SIGKILL)
+
+
+def _served(process: subprocess.Popen[bytes], log: Path) -> int:
+    """Press Ctrl-C some seconds after the first words of a command. Returns its exit code."""
+    give_up_s = time.monotonic() + _MOST_S
+    while not log.stat().st_size and process.poll() is None and time.monotonic() < give_up_s:
+        time.sleep(0.2)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        return process.wait(_AFTER_FIRST_WORDS_S)
+    os.killpg(process.pid, signal.SIGINT)
+    return process.wait(60.0)
+
+
+def _named(command: str, folder: Path) -> str:
+    """The command with the names of what the first commands made."""
+    for name, runs in (("RUN_FOLDER", "first"), ("OTHER_FOLDER", "second")):
+        if (made := sorted((folder / runs).glob("*"))) and name in command:
+            command = command.replace(name, str(made[0].relative_to(folder)))
+    if "CHILD" in command:
+        child = (folder / "child.txt").read_text()
+        for name, words in (("CHILD_TAG", "DRIP entity tag"), ("CHILD_KEY", "public key")):
+            (value,) = re.findall(rf"^{words} +(\S+)$", child, re.MULTILINE)
+            command = command.replace(name, value)
+    return command
 
 
 def install(folder: Path, extras: str) -> Place:
-    """Build the wheel, and install it in an empty environment below the folder."""
+    """Install the wheel and that of an example plug-in in an empty environment below the folder."""
     environment, dist, away = folder / "environment", folder / "dist", folder / "away"
-    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(dist)]
-    subprocess.run(build, cwd=ROOT, check=True)
-    (wheel,) = dist.glob("*.whl")
+    shutil.rmtree(dist, ignore_errors=True)
+    for project in (ROOT, ROOT / "docs" / "examples" / "plugin-law"):
+        build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(dist)]
+        subprocess.run(build, cwd=project, check=True)
+    (wheel,) = dist.glob("dmuca-*.whl")
+    (plugin,) = dist.glob("dmuca_sidestep-*.whl")
     pip = [str(environment / "bin" / "pip"), "install", "--quiet", "--disable-pip-version-check"]
-    if environment.exists():  # kept from before: only the wheel is new
-        subprocess.run([*pip, "--force-reinstall", "--no-deps", str(wheel)], check=True)
+    if environment.exists():  # kept from before: only the wheels are new
+        subprocess.run([*pip, "--force-reinstall", "--no-deps", str(wheel), str(plugin)], check=True)
         shutil.rmtree(away, ignore_errors=True)
     else:
         venv.create(environment, with_pip=True)
         subprocess.run([*pip, f"{wheel}[{extras}]" if extras else str(wheel)], check=True)
+        subprocess.run([*pip, "--no-deps", str(plugin)], check=True)
     away.mkdir()
-    law = (ROOT / "docs" / "examples" / "plugin-law" / "dmuca_sidestep.py").read_text()
-    (away / "mine.py").write_text(law.replace("Sidestep", "Law"))
-    for name in ("orca_cases.json.gz", "vectors.json.gz"):
-        shutil.copy(ROOT / "tests" / "data" / name, away / name.removeprefix("orca_"))
-    onboard_logs.copter(away / "00000042.BIN")
-    for name in ("flight.ulg", "drone1.ulg", "drone2.ulg"):
-        onboard_logs.px4(away / name)
+    read_files.write(away)
     return Place(away, environment)
+
+
+def run_all(place: Place, commands: Sequence[str]) -> int:
+    """Run the first commands, then all others, two and one that waits at a time. Returns how many failed."""
+    failed = [place.run(command).told() for command in first_things()].count(False)
+    waiting, lists = chains(dict.fromkeys(commands))
+
+    def fails_of(chain: Sequence[str]) -> int:
+        return [tried.told() for tried in place.run_in_copies(chain)].count(False)
+
+    with ThreadPoolExecutor(2) as computing, ThreadPoolExecutor(1) as beside:
+        futures = [beside.submit(fails_of, waiting), *(computing.submit(fails_of, chain) for chain in lists)]
+        try:
+            return failed + sum(future.result() for future in as_completed(futures))
+        except BaseException:
+            place.stop()
+            for future in futures:
+                future.cancel()
+            raise
 
 
 def main() -> int:
@@ -222,20 +356,24 @@ def main() -> int:
     parser.add_argument("--only", metavar="PATTERN", help="run only the first commands and those that match")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="install there, and leave it there")
     arguments = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     commands = [smaller(c) for c in commands_of_the_docs() if untried(c) is None]
     commands = [c for c in (*commands, *MORE) if re.search(arguments.only or "", c)]
-    with tempfile.TemporaryDirectory(prefix="dmuca-") as temporary:
-        place = install(arguments.keep or Path(temporary), arguments.extras)
-        failed = 0
-        for command in dict.fromkeys((*first_things(), *commands)):
-            began_s = time.monotonic()
-            good, text = place.run(command)
-            took_s = time.monotonic() - began_s
-            print(f"{'ok    ' if good else 'FAILED'} {took_s:5.0f} s  {command}", flush=True)
-            if not good:
-                failed += 1
-                print("    " + "\n    ".join(text.splitlines()[-12:]), flush=True)
-    print(f"{failed} failed")
+    began_s = time.monotonic()
+    try:
+        with tempfile.TemporaryDirectory(prefix="dmuca-") as temporary:
+            place = install(arguments.keep or Path(temporary), arguments.extras)
+            print(f"installed in {time.monotonic() - began_s:.0f} s", flush=True)
+            failed = run_all(place, commands)
+    except subprocess.CalledProcessError as error:
+        print(f"FAILED to install; pip needs a package index: {shlex.join(map(str, error.cmd))}")
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted")
+        return 130
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    took_s, busy_s = time.monotonic() - began_s, usage.ru_utime + usage.ru_stime
+    print(f"{failed} failed; {took_s:.0f} s, {busy_s:.0f} s of processor time")
     return 1 if failed else 0
 
 

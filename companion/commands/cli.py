@@ -241,7 +241,9 @@ def _replay_log(path: Path, *, as_json: bool) -> int:
         return 0
     unit = "frames" if read_steps is None else "events"
     print(f"{path}: {result.vehicle or 'no vehicle'}; {result.duration_s:.1f} s, {result.frames} {unit}")
-    print("  the log has no companion's record, so no commands are compared: its vehicle was flown again")
+    print(
+        "  no companion's record, so no commands are compared: the core got the events and commanded nothing"
+    )
     print(f"  GNSS states {result.gnss_states} (GPS_RAW_INT {result.gnss_fixes})")
     for name, where in (("first", result.first), ("last", result.last)):
         if where is not None:

@@ -56,7 +56,7 @@ def add_arguments(subparsers: Subparsers) -> None:
     """Add `listen` to the subparsers of `remote-id`; it calls `run`."""
     parser = subparsers.add_parser(
         "listen",
-        help="show the aircraft that are received",
+        help="Show the aircraft that are received.",
         description="Show a live table of received aircraft, or plain lines if the output is not a terminal.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -135,9 +135,9 @@ class About:
                 f"{name}: the file is cut off; its last {counts.torn_bytes} bytes are not a whole message"
             )
         if counts.dropouts:
+            times = "once" if counts.dropouts == 1 else f"{counts.dropouts} times"
             found.append(
-                f"{name}: the autopilot could not write {counts.dropouts} times, "
-                f"for {counts.dropouts_s:.2f} s in all"
+                f"{name}: the autopilot could not write {times}, for {counts.dropouts_s:.2f} s in all"
             )
         if counts.bad_values:
             found.append(f"{name}: {counts.bad_values} messages with impossible values or times are left out")

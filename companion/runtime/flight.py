@@ -95,7 +95,7 @@ class Flight:
         self._troubles = Troubles(self._say)
         self._watchdog = Watchdog()
         self._notifier = Notifier(os.environ)
-        self._say(f"compiling the avoidance kernels ... {warm_up():.1f} s")
+        self._say(f"avoidance kernels: ready after {warm_up():.1f} s")
         self._say(f"scheduling: {scheduling()}")
         if dry_run:
             self._say(

@@ -123,12 +123,12 @@ def tables(report: Report) -> list[Printed]:
 
 def show(report: Report, console: Console) -> None:
     """Print a report on the terminal."""
-    console.print(report.title, style="bold", highlight=False, soft_wrap=True)
+    console.print(report.title, style="bold", highlight=False, markup=False, soft_wrap=True)
     for note in report.notes:
-        console.print(note, style="dim", highlight=False, soft_wrap=True)
+        console.print(note, style="dim", highlight=False, markup=False, soft_wrap=True)
     for table in tables(report):
         if table.title:
-            console.print(table.title, style="bold", highlight=False, soft_wrap=True)
+            console.print(table.title, style="bold", highlight=False, markup=False, soft_wrap=True)
         console.print(_table(table.columns, table.rows, right=table.numbers))
 
 

@@ -27,7 +27,8 @@ _ACCESS_ADDRESS = 0x8E89BED6
 # ---------------------------------------------------------------- captures
 
 
-def _pcap(link_type: int, packets: Iterable[bytes]) -> bytes:
+def pcap(link_type: int, packets: Iterable[bytes]) -> bytes:
+    """A capture file."""
     head = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, link_type)
     return head + b"".join(struct.pack("<IIII", 1, 2, len(p), len(p)) + p for p in packets)
 
@@ -36,7 +37,7 @@ def _pcap(link_type: int, packets: Iterable[bytes]) -> bytes:
 def _capture_seeds() -> list[bytes]:
     wifi = [build_radiotap() + frame for transport in ("wifi", "nan") for frame in built(transport)[:2]]
     # The first packets are enough; the last one is cut short.
-    return [_pcap(127, wifi), _pcap(105, built("wifi")[:3]), *(data[:900] for data in captured())]
+    return [pcap(127, wifi), pcap(105, built("wifi")[:3]), *(data[:900] for data in captured())]
 
 
 def _read_file(data: bytes) -> bool:
@@ -72,7 +73,7 @@ def _packet_seeds() -> list[bytes]:
 
 def _read_packet(data: bytes) -> None:
     link_type = _LINK_TYPES[data[0] % len(_LINK_TYPES)] if data else 0
-    (*_, last) = read_capture(io.BytesIO(_pcap(link_type, [data[1:]])), "capture")
+    (*_, last) = read_capture(io.BytesIO(pcap(link_type, [data[1:]])), "capture")
     if last.kind is Kind.BROKEN:
         raise ConfigError(str(last.faults))  # counts as refused
 

@@ -54,6 +54,7 @@ _POLICY: Final = "config/policies/atmc.safetensors"
 _REGION: Final = "config/regions/us.toml"
 ENCOUNTERS: Final = 200
 CROWD: Final = 12
+_PIPED_WIDTH: Final = 120
 _MAX_ENCOUNTERS: Final = 100_000
 _COLOURS: Final = {"sparse": "#2a78d6", "dense": "#e34948", "loaded": "#eda100"}
 
@@ -109,6 +110,8 @@ def run(args: argparse.Namespace) -> int:
         shutil.copytree(kept / NAME, folder, dirs_exist_ok=True)
     cells, missing = plan(args, folder)
     words = Console(stderr=args.json)
+    if not words.is_terminal:
+        words = Console(stderr=args.json, width=_PIPED_WIDTH)
     path = args.out / f"{NAME}.png"
     draws = importlib.util.find_spec("matplotlib") is not None
     with drawn(path, (15, 6.5)) if draws else nullcontext() as figure:

@@ -94,7 +94,7 @@ def test_traffic_gnss_wind_texts_and_time(copter: bytes):
     assert texts == [(6.0, 6, "[commander] Ready for takeoff!"), (6.0, 4, "[battery] low battery")]
     (module,) = of(RemoteIdModule, found)
     assert (module.ready, module.text) == (False, "missing basic_id message")
-    assert about.damage("x.ulg") == ("x.ulg: the autopilot could not write 1 times, for 0.06 s in all",)
+    assert about.damage("x.ulg") == ("x.ulg: the autopilot could not write once, for 0.06 s in all",)
 
 
 def test_positions_relative_to_an_origin_appended_data_and_damage(tmp_path: Path):

@@ -17,33 +17,12 @@ from ground_tools.campaign.cells import Cell
 from ground_tools.campaign.generators import HEIGHT_M
 from ground_tools.campaign.scenario_measures import measures
 from ground_tools.campaign.scenarios import bluesky, files, metropolis
+from tests.support.read_files import HEAD_ON, INTENTIONS
 
 KNOT = 1852.0 / 3600.0
 DEGREE_M = math.radians(1.0) * 6_371_000.0
-HEAD_ON = """\
-# Two aircraft, head on; a comment
-00:00:00.00>CRE WEST,B744,0.0,-0.5,90.0,FL100,250
-00:00:00.00>cre EAST B744 0.0 0.5 270 10000 250 # and a comment behind
-
-00:00:00.00>ASAS ON
-00:00:00.00>WEST TRAIL ON
-00:00:05.00>RESO MVP
-"""
 TEN_KNOTS = "10", 10.0 * KNOT
 """A speed at sea level, where true and calibrated airspeed are the same."""
-
-
-INTENTIONS = """\
-00:00:00,D1,MP20,00:00:10,"(16.36, 48.18)","(16.36, 48.20)",2,,,,,,
-00:00:00,D2,MP30,00:01:00,"(16.345, 48.19)","(16.375, 48.19)",1,,,,,,
-00:00:00,D3,MP20,00:00:00,"(16.0, 48.5)","(16.0, 48.6)",3,,,,,,
-00:00:00,L1,MP20,00:00:00,"(16.1, 48.5)","(16.2, 48.5)",4,60,1,2,3,4,5
-00:00:00,D4,JET,00:00:00,"(16.1, 48.5)","(16.2, 48.5)",1,,,,,,
-00:00:00,D5,MP20,soon,"(16.1, 48.5)","(16.2, 48.5)",1,,,,,,
-00:00:00,D6,MP20,00:00:00,nowhere,"(16.2, 48.5)",1,,,,,,
-a,b
-
-"""
 
 
 def one(text):

@@ -250,6 +250,7 @@ def test_two_encounters_from_end_to_end(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert command(*words[:-1], "--methods", "best-set", "atmc", "--policy", policy) == 0
     told = capsys.readouterr().out
+    assert "least separation" in told  # a heading that 80 columns would break
     assert "ATMC minus best legal set" in told
     assert "no picture: matplotlib is not installed" in told
     assert not (tmp_path / "closed-loop.png").exists()

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from rich.console import Console
 
 from ground_tools.channel.fixed_modes import Row
 from ground_tools.paper.figures import delay_rate, fixed_modes, packet_loss
-from ground_tools.paper.report import Comparison, Report, Statement, json_rows
+from ground_tools.paper.report import Comparison, Report, Statement, json_rows, show
 from ground_tools.paper.study import curves_of
 
 SIDES_M = (100.0, 500.0, 1000.0, 3000.0, 5000.0, 10000.0)
@@ -220,3 +221,9 @@ def test_json_rows():
             "ratio": 1.5,
         },
     ]
+
+
+def test_a_note_keeps_its_brackets(capsys):
+    """They are no markup: the extra that is to be installed stands in them."""
+    show(Report("title", notes=("pip install 'dmuca[train]'",)), Console(width=160))
+    assert "pip install 'dmuca[train]'" in capsys.readouterr().out
