@@ -328,9 +328,9 @@ def _survive(
         if sends & 4 and around.listens != 0.0:
             size = _sensed(j, starts[t], rates, position, links, around, places, near, who)
         for e in range(links.start[j], links.start[j + 1]):
-            i, at = links.other[e], links.back[e]
+            i = links.other[e]
             on = links.modes[e] & sends
-            chance = links.chance[at]
+            chance = links.chance[e]
             chance[0] = chance[1] = chance[2] = 0.0
             ble4, pointer, auxiliary, wifi = _logs(i, j, on, around)
             if on & 1:
