@@ -17,7 +17,7 @@ from ground_tools.campaign import compiled as campaign
 
 Function = TypeVar("Function")
 _COMPILED = ("flights", "tables", "links", "draws", "tracks", "judging", "loop", "measure", "energy")
-_OF_RADIO = ("reception", "choosing", "awareness")
+_OF_RADIO = ("chances", "reception", "choosing", "awareness")
 SOURCES = (
     *campaign.SOURCES,
     *(Path(__file__).with_name(f"{name}.py") for name in _COMPILED),

@@ -24,6 +24,13 @@ class Frames(NamedTuple):
 
 
 @compiled(forceinline=True)
+def put_arrival(links: Links, e: int, slot: int, arrival_s: float, by: int) -> None:
+    """Write when a message arrives over a link, and on which transports."""
+    links.arrival[e, slot], links.by[e, slot] = arrival_s, by
+    links.due_s[e] = min(links.due_s[e], arrival_s)
+
+
+@compiled(forceinline=True)
 def draw_arrivals(
     rng: np.random.Generator, now: float, j: int, slot: int, rates: Integers, links: Links, frames: Frames
 ) -> None:
@@ -38,7 +45,7 @@ def draw_arrivals(
         at = links.back[e]
         arrival, by = math.inf, 0
         for m in range(links.chance.shape[1]):
-            fails, rate = links.chance[at, m], rates[j, m]
+            fails, rate = links.chance[e, m], rates[j, m]
             if rate == 0 or fails == 0.0:
                 continue
             number = math.floor(math.log(1.0 - rng.random()) / fails)
@@ -48,4 +55,4 @@ def draw_arrivals(
                     when += frames.wait_s[j]
                 arrival = min(arrival, when)
                 by |= 1 << m
-        links.arrival[at, slot], links.by[at, slot] = arrival, by
+        put_arrival(links, at, slot, arrival, by)

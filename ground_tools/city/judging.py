@@ -162,7 +162,7 @@ def give_up(
         heard = tracks.heard[i, row]
         _stand(
             standings[row], _away(i, heard, max(now - heard[M_TIME], 0.0), craft), loss, judge.ahead_s,
-            1 if tracks.messages[i, row] >= ESTABLISHED else 0, tracks.together[i, row],
+            1 if tracks.messages[i, row] >= ESTABLISHED else 0, tracks.together[i, row] != 0.0,
             now - tracks.threat_s[i, row] <= HOLD_S,
         )  # fmt: skip
     age = max(now - sent[M_TIME], 0.0)

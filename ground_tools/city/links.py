@@ -159,7 +159,7 @@ def _fill(
                 if away2 <= most:
                     e = cursor[i]
                     cursor[i] += 1
-                    new.other[e], new.row[e] = j, NOBODY
+                    new.other[e], new.row[e], new.due_s[e] = j, NOBODY, math.inf
                     modes = 0
                     for m in range(len(reach2)):
                         if away2 <= reach2[m]:
@@ -188,7 +188,7 @@ def _carry(i: int, fresh: Bools, old: Links, new: Links) -> None:
         while e < end and old.other[e] < j:
             e += 1
         if e < end and old.other[e] == j and not fresh[j]:
-            new.row[at] = old.row[e]
+            new.row[at], new.due_s[at] = old.row[e], old.due_s[e]
             for s in range(new.arrival.shape[1]):
                 new.arrival[at, s], new.by[at, s] = old.arrival[e, s], old.by[e, s]
             for m in range(new.chance.shape[1]):

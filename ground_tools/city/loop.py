@@ -17,7 +17,7 @@ from companion.avoidance.law import OLDEST_S
 from ground_tools.campaign.vehicles import Fleet, move, send
 from ground_tools.campaign.world import Conditions
 from ground_tools.city.compiled import compiled
-from ground_tools.city.draws import Frames, draw_arrivals
+from ground_tools.city.draws import Frames, draw_arrivals, put_arrival
 from ground_tools.city.flights import Flights
 from ground_tools.city.judging import Judge
 from ground_tools.city.measure import Tally, measure, note_decision
@@ -81,9 +81,7 @@ def _send_all(
             for e in range(links.start[j], links.start[j + 1]):
                 delay = radio_rng.uniform(world.delay_low_s, world.delay_high_s)
                 lost = world.loss > 0.0 and radio_rng.random() < world.loss
-                at = links.back[e]
-                links.arrival[at, slot] = math.inf if lost else now + delay
-                links.by[at, slot] = 1
+                put_arrival(links, links.back[e], slot, math.inf if lost else now + delay, 1)
 
 
 @_inlined

@@ -12,7 +12,9 @@ import numpy as np
 
 from companion.arrays import Bools, Floats, Integers
 from companion.avoidance import kernels as k
+from companion.avoidance.kernels.neighbours import NEWS_S
 from companion.config import AvoidanceConfig, TrafficConfig
+from companion.errors import ConfigError
 from ground_tools.campaign.vehicles import AVOIDS, Fleet, begin
 from ground_tools.campaign.world import World
 from ground_tools.city.draws import Frames
@@ -84,6 +86,9 @@ class Simulation:
         most_tracks: capacity of each aircraft's table of tracks.
         slots: most aircraft in the air; None: some more than are in the air if all fly as planned.
         clear_m: see `CLEAR_M`.
+
+    Raises:
+        ConfigError: messages are more frequent than `kernels.note_track` takes in.
     """
 
     def __init__(
@@ -103,6 +108,8 @@ class Simulation:
     ) -> None:
         self._flights, self._rng, self._radio_rng = flights, rng, radio_rng
         self._world = conditions = world.conditions(avoidance.period_s)
+        if conditions.message * world.step_s <= NEWS_S:
+            raise ConfigError(f"message_s must be above {NEWS_S:g}, so that every message counts for a track")
         planned = math.ceil(_ROOM * largest_number_in_the_air(flights)) + 4
         self.slots = slots = planned if slots is None else slots
         self._steps_of_part = round(PART_S / world.step_s)
@@ -226,6 +233,7 @@ class Simulation:
         if slot < len(tracks.who):
             tracks.who[slot], tracks.used[slot] = NOBODY, 0
             tracks.opened_s[slot], tracks.opened[slot] = -math.inf, 0
+            tracks.anchor[slot] = -math.inf
         self._fresh[slot] = True
 
     def _result(self) -> Result:

@@ -71,25 +71,30 @@ class Tracks(NamedTuple):
     used: Integers
     """(M,): number of rows in use; the rows from this one on are free."""
     heard: Floats
-    """(M, K, MESSAGE_COLUMNS): the latest message."""
-    got_s: Floats
-    """(M, K): when the latest message was received."""
+    """(M, K, MESSAGE_COLUMNS): the latest message, which is the first columns of `past`."""
     past: Floats
     """(M, K, columns of `kernels.Past`)."""
-    messages: Numbers
+    got_s: Floats
+    """(M, K): when the latest message was received."""
+    messages: Floats
     """(M, K): number of messages."""
     threat_s: Floats
     """(M, K): when the other aircraft was last a threat."""
-    together: NDArray[np.bool_]
-    """(M, K): whether the track appeared in a burst of new tracks."""
-    on_s: Float32s
-    """(M, K, 3): when the sender was last received on each transport."""
+    together: Floats
+    """(M, K): 1 if the track appeared in a burst of new tracks."""
+    on_s: Floats
+    """(M, K, 3): when the sender was last received on each transport, in single precision."""
     opened_s: Floats
     """(M, BURST): when the latest tracks appeared."""
     opened: Integers
     """(M,): how many tracks have appeared."""
     counts: Integers
     """(2,): tracks given up because a table was full, and newcomers that a full table refused."""
+    beyond_m: Floats
+    """(M, K): a track matters to no decision for which `tracks.needed_m` is at most this; -infinity: not
+    known. It holds for the present message and until the time in `anchor`."""
+    anchor: Floats
+    """(M, 3): place, north and east, to which `beyond_m` refers, and the time until which it holds."""
 
 
 class Links(NamedTuple):
@@ -105,12 +110,15 @@ class Links(NamedTuple):
     """(E,): track of the sender in the receiver's table; may be out of date (compare `Tracks.who`)."""
     modes: NDArray[np.uint8]
     """(E,): transports that carry the link, one bit each."""
+    due_s: Floats
+    """(E,): no message in transit arrives before this."""
     arrival: Floats
     """(E, slots): when each of the sender's latest messages arrives; infinite: never, or received."""
-    by: NDArray[np.uint8]
+    by: Floats
     """(E, slots): transports on which that message arrives, one bit each."""
     chance: Float32s
-    """(E, 3): log of the probability that one frame on a transport is not received, 0 or less."""
+    """(E, 3): log of the probability that one frame on a transport is not received, 0 or less. It is that of
+    the opposite direction (`back`), so that a sender has those of all its receivers together."""
 
 
 class Near(NamedTuple):
@@ -154,32 +162,40 @@ def new_air(slots: int) -> Air:
 
 def new_tracks(slots: int, most: int) -> Tracks:
     """Empty tables of up to `most` tracks for each slot."""
+    # What is stored of a track is contiguous, beginning with what decisions need: with many aircraft, most
+    # time goes to fetching it from memory.
+    past = len(k.NO_PAST)
+    rows = np.zeros((slots, most, 1 + past + 3 + len(MODES)))
     return Tracks(
         who=np.full((slots, most), NOBODY, np.int32),
         used=np.zeros(slots, np.int64),
-        heard=np.zeros((slots, most, MESSAGE_COLUMNS)),
-        got_s=np.zeros((slots, most)),
-        past=np.zeros((slots, most, len(k.NO_PAST))),
-        messages=np.zeros((slots, most), np.int32),
-        threat_s=np.zeros((slots, most)),
-        together=np.zeros((slots, most), bool),
-        on_s=np.zeros((slots, most, len(MODES)), np.float32),
+        heard=rows[:, :, 1 : 1 + MESSAGE_COLUMNS],
+        past=rows[:, :, 1 : 1 + past],
+        got_s=rows[:, :, 0],
+        messages=rows[:, :, past + 1],
+        threat_s=rows[:, :, past + 2],
+        together=rows[:, :, past + 3],
+        on_s=rows[:, :, past + 4 :],
         opened_s=np.full((slots, BURST), -math.inf),
         opened=np.zeros(slots, np.int64),
         counts=np.zeros(2, np.int64),
+        beyond_m=np.full((slots, most), -math.inf),
+        anchor=np.full((slots, 3), -math.inf),
     )
 
 
 def new_links(slots: int, links: int, messages: int) -> Links:
     """Room for the given number of links, each with the given number of messages in transit."""
+    transit = np.zeros((links, 2 * messages))
     return Links(
         start=np.zeros(slots + 1, np.int64),
         other=np.zeros(links, np.int32),
         back=np.zeros(links, np.int32),
         row=np.zeros(links, np.int32),
         modes=np.zeros(links, np.uint8),
-        arrival=np.zeros((links, messages)),
-        by=np.zeros((links, messages), np.uint8),
+        due_s=np.full(links, math.inf),
+        arrival=transit[:, :messages],
+        by=transit[:, messages:],
         chance=np.zeros((links, len(MODES)), np.float32),
     )
 

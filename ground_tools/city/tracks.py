@@ -11,9 +11,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from companion.arrays import Floats, Integers
 from companion.avoidance import kernels as k
-from companion.avoidance.kernels.neighbours import Volume, volume_of
+from companion.avoidance.kernels.neighbours import GROWTH_AHEAD_S, Volume, volume_of
 from ground_tools.campaign.vehicles import M_POSITION, M_TIME, M_VELOCITY, MESSAGE_COLUMNS, Fleet
 from ground_tools.campaign.world import Conditions
 from ground_tools.city.compiled import compiled
@@ -25,6 +27,10 @@ _FASTER = 1.1
 """Bound of an aircraft's speed, as a multiple of its law's greatest speed."""
 _SLACK_M = 1e-3
 """Allowance for rounding."""
+_SHARE = 0.5
+"""`kernels.Other.share` of every track."""
+SURE_S = 2.0
+"""Time for which `Tracks.beyond_m` is computed."""
 _NO_PAST = tuple(k.NO_PAST)
 _compiled = compiled()
 _inlined = compiled(forceinline=True)
@@ -50,10 +56,14 @@ def receive(
 ) -> None:  # fmt: skip
     """Take the messages that aircraft i has received into its tracks."""
     for e in range(links.start[i], links.start[i + 1]):
+        if links.due_s[e] > now:
+            continue
+        links.due_s[e] = math.inf
         for s in range(links.arrival.shape[1]):
             if links.arrival[e, s] <= now:
                 links.arrival[e, s] = math.inf
                 _take(now, world, i, e, s, craft, air, tracks, links, judge, desk)
+            links.due_s[e] = min(links.due_s[e], links.arrival[e, s])
 
 
 @_compiled
@@ -73,18 +83,18 @@ def _take(
         links.row[e] = row
         if row == NOBODY:
             return
+    by = int(links.by[e, s])
     for m in range(tracks.on_s.shape[2]):
-        if links.by[e, s] & (1 << m):
-            tracks.on_s[i, row, m] = now
-    sent, heard = craft.sent[j, s], tracks.heard[i, row]
-    if sent[M_TIME] > heard[M_TIME]:
-        for c in range(MESSAGE_COLUMNS):
-            heard[c] = sent[c]
+        if by & (1 << m):
+            tracks.on_s[i, row, m] = np.float32(now)
+    sent = craft.sent[j, s]
+    if sent[M_TIME] > tracks.heard[i, row, M_TIME]:
+        tracks.beyond_m[i, row] = -math.inf
         tracks.got_s[i, row] = now
-        tracks.messages[i, row] += 1
-        p, v = heard[M_POSITION:M_VELOCITY], heard[M_VELOCITY:MESSAGE_COLUMNS]
+        tracks.messages[i, row] += 1.0
+        p, v = sent[M_POSITION:M_VELOCITY], sent[M_VELOCITY:MESSAGE_COLUMNS]
         past = k.note_track(
-            k.past_at(tracks.past[i], row), heard[M_TIME], (p[0], p[1], p[2]), (v[0], v[1], v[2]),
+            k.past_at(tracks.past[i], row), sent[M_TIME], (p[0], p[1], p[2]), (v[0], v[1], v[2]),
             world.declared_m,
         )  # fmt: skip
         k.put_past(tracks.past[i], row, past)
@@ -125,9 +135,9 @@ def _open(
         if row == NOBODY:
             return NOBODY
     tracks.who[i, row] = who
-    tracks.heard[i, row, M_TIME] = -math.inf
-    tracks.messages[i, row] = 0
-    tracks.together[i, row] = together
+    tracks.messages[i, row] = 0.0
+    tracks.beyond_m[i, row] = -math.inf
+    tracks.together[i, row] = 1.0 if together else 0.0
     for m in range(tracks.on_s.shape[2]):
         tracks.on_s[i, row, m] = -math.inf
     k.put_past(tracks.past[i], row, _NO_PAST)
@@ -197,6 +207,63 @@ def matters(own: k.Own, other: k.Other, volume: Volume, law: k.Settings, scope: 
 
 
 @_inlined
+def needed_m(now: float, i: int, own: k.Own, law: k.Settings, scope: Scope, tracks: Tracks) -> float:
+    """The part of the distance at which a neighbour can matter that depends on the aircraft itself, m.
+
+    It includes the distance from `Tracks.anchor`. When its time is over, the anchor becomes the present
+    place, and nothing is known of any track.
+    """
+    anchor = tracks.anchor[i]
+    if now > anchor[2]:
+        anchor[0], anchor[1], anchor[2] = own.position.n, own.position.e, now + SURE_S
+        for row in range(tracks.used[i]):
+            tracks.beyond_m[i, row] = -math.inf
+    n, e, v = own.position.n - anchor[0], own.position.e - anchor[1], own.velocity
+    ours = math.sqrt(v.n * v.n + v.e * v.e + v.d * v.d)
+    plane = law.horizon_s * (ours + scope.turned + (scope.change + scope.turned) / _SHARE)
+    return math.sqrt(n * n + e * e) + max(plane, max(law.look_s, law.horizon_s) * (ours + scope.change))
+
+
+@_compiled
+def _beyond(
+    now: float, i: int, row: int, known: k.Other, later: k.Other, own: k.Own, law: k.Settings, tracks: Tracks
+) -> float:
+    """`Tracks.beyond_m` of a track.
+
+    It follows from `matters`. Let L be the longer of `horizon_s` and `look_s`, and q the stretch. No two
+    aircraft close faster than the sum of their speeds, scaled by at most q. So a neighbour, silent or not,
+    cannot matter while
+
+        distance - radius >= q (speed (L + age) + `needed_m` without the way from the anchor).
+
+    Horizontal distances are not scaled and are never more than those that `matters` takes. Radius and age are
+    largest at the end of the time. The neighbour's predicted place comes nearer to the anchor by at most its
+    speed, and its distance from the aircraft differs from that from the anchor by at most the aircraft's way
+    from there. With a = age + GROWTH_AHEAD_S, `kernels.neighbours.volume_of` scales by
+
+        vertical (r + max(x, a growth)) / (r + max(x, a growth_down)),
+
+    which is at most vertical (1 + a (growth - growth_down) / r) where growth is the larger one, and else at
+    most `vertical`. The radius r without growth is least for a message without age. A track that may be
+    removed within the time is never left out.
+    """
+    anchor, left, age = tracks.anchor[i], tracks.anchor[i, 2] - now, later.age_s
+    if age > k.KEPT_S and age > k.kept_for(k.past_at(tracks.past[i], row).gap_s, k.KEPT_S):
+        return -1.0
+    least = law.radius_m + max(
+        law.least_margin_m, law.sigmas * math.sqrt(own.sigma_m * own.sigma_m + known.sigma_m * known.sigma_m)
+    )
+    ahead = law.growth * (age + GROWTH_AHEAD_S)
+    more = ahead * max(known.growth_mps - known.growth_down_mps, 0.0) / least
+    stretch = max(law.vertical * (1.0 + more), 1.0)
+    n = known.n + known.age_s * known.vn - anchor[0]
+    e = known.e + known.age_s * known.ve - anchor[1]
+    speed = math.sqrt(known.vn * known.vn + known.ve * known.ve + known.vd * known.vd)
+    gap = math.sqrt(n * n + e * e) - speed * left - volume_of(later, own, law).radius - 2.0 * _SLACK_M
+    return float(gap / stretch - speed * (max(law.look_s, law.horizon_s) + age))
+
+
+@_inlined
 def look(
     now: float, world: Conditions, i: int, own: k.Own, law: k.Settings, scope: Scope, craft: Fleet,
     tracks: Tracks, desk: Desk,
@@ -205,8 +272,10 @@ def look(
 
     They are sorted by flight number, so that the order of reception is irrelevant. Old tracks are removed.
     """
-    count = 0
+    count, needed = 0, needed_m(now, i, own, law, scope, tracks)
     for row in range(tracks.used[i]):
+        if tracks.beyond_m[i, row] >= needed:
+            continue
         who = tracks.who[i, row]
         if who == NOBODY:
             continue
@@ -216,6 +285,9 @@ def look(
             continue
         known = _known(now, world, i, row, craft, tracks)
         if not matters(own, known, volume_of(known, own, law), law, scope):
+            if tracks.beyond_m[i, row] == -math.inf:
+                later = _known(tracks.anchor[i, 2], world, i, row, craft, tracks)
+                tracks.beyond_m[i, row] = _beyond(now, i, row, known, later, own, law, tracks)
             continue
         at = count
         while at > 0 and tracks.who[i, desk.order[at - 1]] > who:
@@ -237,7 +309,7 @@ def _known(now: float, world: Conditions, i: int, row: int, craft: Fleet, tracks
         m[M_POSITION], m[M_POSITION + 1], m[M_POSITION + 2],
         m[M_VELOCITY], m[M_VELOCITY + 1], m[M_VELOCITY + 2],
         max(now + craft.clock[i] - m[M_TIME], 0.0), world.declared_m, world.sigma_mps, past.growth_mps,
-        1.0 if silent else 0.0, 0.5, 1.0, 0.0, past.growth_down_mps, 0.0, 0.0, 0.0, 0.0,
+        1.0 if silent else 0.0, _SHARE, 1.0, 0.0, past.growth_down_mps, 0.0, 0.0, 0.0, 0.0,
     )  # fmt: skip
 
 

@@ -317,7 +317,7 @@ def _observe(
             rows[used, 1] = 2.0 ** (-ratio * ratio)
             least[t] = min(least[t], rows[used, 0])
             close += int(distance <= NEAR_M)
-            _keep(distance, rows[used], links.chance[e], near, sums[t])
+            _keep(distance, rows[used], links.chance[links.back[e]], near, sums[t])
             used += 1
         counts[t] = used - first
         if close < FEWEST_SENDERS:

@@ -15,40 +15,41 @@ import numpy as np
 
 from companion.arrays import Floats, Integers
 from companion.errors import ConfigError
-from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from ground_tools.city.compiled import compiled
 from ground_tools.city.draws import Frames
 from ground_tools.city.loop import State
+from ground_tools.city.radio.chances import (
+    HIGHEST_LOAD,
+    Chances,
+    chances_of,
+    offsets_s,
+    on_grid,
+    on_line,
+    on_loads,
+)
 from ground_tools.city.radio.choosing import Chooser
 from ground_tools.city.simulation import PARTS
 from ground_tools.city.tables import NOBODY, Air, Links
 from sitl_mocks.channel.equations import carrier_sense
 from sitl_mocks.channel.equations.collision import background_survival, shares_of
-from sitl_mocks.channel.equations.delay import link_delay_s
 from sitl_mocks.channel.equations.half_duplex import log_hearing
-from sitl_mocks.channel.equations.reception import meeting_chances
 from sitl_mocks.channel.parameters import (
     MODES,
     OVERLAPPED_CHANNELS,
     SECONDARY_CHANNELS,
     ChannelParameters,
-    max_rates,
 )
 
 SAMPLE: Final = 64
 """Most Wi-Fi stations around a sender that are looked at one by one for each receiver."""
-_LOWEST: Final = -8.0
-"""Lowest log survival in the tables; below it, the tabulated value is extrapolated linearly."""
-_NODES: Final = (401, 121, 401)
-_HIGHEST_LOAD, _LOAD_NODES = 4.0, 161
-"""Highest Wi-Fi load in the tables, and number of load nodes. Higher loads are clamped to the highest one."""
+BLOCK: Final = 64
+"""Number of receivers that are computed at the same time."""
 _WIDE: Final = OVERLAPPED_CHANNELS / SECONDARY_CHANNELS
 # What an aircraft adds to the loads of those it reaches: log survivals, except the last one, a share of time.
 (
     BLE4_BY_BLE4, POINTER_BY_BLE4, BLE4_BY_BLE5, POINTER_BY_BLE5, AUXILIARY_BY_BLE5, WIFI_BY_BLE5,
     WIFI_BY_WIFI, AUXILIARY_BY_WIFI, LOAD, PARTS_OF_LOAD,
 ) = range(10)  # fmt: skip
-_BY_BLE4, _BY_BLE5, _BY_WIFI = BLE4_BY_BLE4, BLE4_BY_BLE5, WIFI_BY_WIFI
 _compiled = compiled()
 
 
@@ -70,18 +71,6 @@ class Around(NamedTuple):
     """1: stations sense the carrier."""
     reach2: float
     """Square of the reach of Wi-Fi, m^2."""
-
-
-class Chances(NamedTuple):
-    """Tables of log(-log(1 - p)) over log survival, one for each rate; p is the probability that one frame is
-    received."""
-
-    ble4: Floats
-    """(rates, nodes)."""
-    ble5: Floats
-    """(rates, nodes, nodes): over the survival of pointer and auxiliary packet."""
-    wifi: Floats
-    """(rates, nodes, loads): over the survival of the beacon and the load around the sender."""
 
 
 class AnalyticRadio:
@@ -125,6 +114,7 @@ class AnalyticRadio:
         )  # fmt: skip
         self._places, self._near = np.zeros((SAMPLE, 3)), np.zeros((SAMPLE, 2))
         self._who = np.zeros(SAMPLE, np.int64)
+        self._common, self._names = np.zeros((5, BLOCK)), np.zeros(BLOCK, np.int64)
 
     @property
     def sensed_load(self) -> Floats:
@@ -157,7 +147,7 @@ class AnalyticRadio:
         starts = self._rng.random(len(turn))
         _survive(
             turn, starts, rates, state.craft.position, air, state.links, around, self.chances, self._places,
-            self._near, self._who,
+            self._near, self._who, self._common, self._names,
         )  # fmt: skip
 
 
@@ -169,12 +159,6 @@ def _check(parameters: ChannelParameters, message_s: float) -> None:
         )
     if abs(parameters.gnss_period_ms / 1000.0 - message_s) > 1e-9:
         raise ConfigError(f"gnss_period_ms must be {1000.0 * message_s:g}, the time between two messages")
-
-
-def offsets_s(parameters: ChannelParameters) -> Floats:
-    """Time from the beginning of a frame until its message is complete, by transport."""
-    ble = [meeting_chances(mode, parameters)[1] for mode in (BLE4, BLE5)]
-    return np.array([*ble, parameters.wifi.beacon_ms]) / 1000.0
 
 
 def adds_of(rates: Integers, parameters: ChannelParameters) -> Floats:
@@ -200,73 +184,35 @@ def adds_of(rates: Integers, parameters: ChannelParameters) -> Floats:
     return adds
 
 
-def chances_of(parameters: ChannelParameters, rates: Collection[int]) -> Chances:
-    """Reception tables for these rates."""
-    loads = np.linspace(0.0, _HIGHEST_LOAD, _LOAD_NODES)
-    grids = [np.exp(np.linspace(_LOWEST, 0.0, nodes)) for nodes in _NODES]
-    wifi_loads = loads if parameters.wifi.access == "carrier_sense" else loads[:2]
-    shapes = ((_NODES[0],), (_NODES[1], _NODES[1]), (_NODES[2], len(wifi_loads)))
-    tables = [np.zeros((max(max_rates(parameters)) + 1, *shape)) for shape in shapes]
-    offset_s = offsets_s(parameters)
-    for m, mode in enumerate(MODES):
-        for rate in sorted(set(rates)):
-            if not 1 <= rate <= max_rates(parameters)[m]:
-                continue
-            wait_s: Floats = np.zeros(1)
-            if mode == BLE4:
-                delay_s = link_delay_s(mode, rate, parameters, grids[0], np.ones(_NODES[0]))
-            elif mode == BLE5:
-                first, second = np.meshgrid(grids[1], grids[1], indexing="ij")
-                delay_s = link_delay_s(mode, rate, parameters, first, second)
-            else:
-                alive, load = np.meshgrid(grids[2], wifi_loads, indexing="ij")
-                delay_s = _wifi_delay_s(rate, alive, load, parameters)
-                wait_s = _wait_s(load, parameters)
-            tables[m][rate] = np.log(_hazard(delay_s - offset_s[m] - wait_s, rate, parameters))
-    return Chances(*tables)
-
-
-def _wifi_delay_s(rate: int, alive: Floats, load: Floats, parameters: ChannelParameters) -> Floats:
-    if parameters.wifi.access == "carrier_sense":
-        return carrier_sense.delay_s(rate, alive, load, parameters)
-    return link_delay_s(WIFI_BEACON, rate, parameters, alive, np.ones_like(alive))
-
-
-def _wait_s(load: Floats, parameters: ChannelParameters) -> Floats:
-    if parameters.wifi.access != "carrier_sense":
-        return np.zeros_like(load)
-    each_ms = parameters.wifi.beacon_ms + carrier_sense.GAP_MS
-    return np.asarray(carrier_sense.WAIT * each_ms * carrier_sense.crowding(load) / 1000.0)
-
-
-def _hazard(delay_s: Floats, rate: int, parameters: ChannelParameters) -> Floats:
-    """-log(1 - p) for the probability p of one frame that gives frames at this rate the given mean delay.
-
-    The first frame begins at a random time within one interval, so that the mean is interval (1 / p - 1/2).
-    """
-    interval_s = parameters.gnss_period_ms / 1000.0 / rate
-    p = 1.0 / np.maximum(delay_s / interval_s + 0.5, 1.0 + 1e-9)
-    return np.asarray(-np.log1p(-p))
-
-
 @_compiled
 def _sum(links: Links, flight: Integers, rates: Integers, around: Around) -> None:
     """Sum up the contributions of all senders that reach each aircraft."""
-    around.total[:] = 0.0
     for i in range(len(flight)):
-        total = around.total[i]
+        b0 = b1 = c0 = c1 = c2 = c3 = w0 = w1 = w2 = 0.0
         for e in range(links.start[i], links.start[i + 1]):
             j, modes = links.other[e], links.modes[e]
             add = around.adds[j]
             if modes & 1 and rates[j, 0] > 0:
-                for c in range(_BY_BLE4, _BY_BLE5):
-                    total[c] += add[c]
+                b0 += add[BLE4_BY_BLE4]
+                b1 += add[POINTER_BY_BLE4]
             if modes & 2 and rates[j, 1] > 0:
-                for c in range(_BY_BLE5, _BY_WIFI):
-                    total[c] += add[c]
+                c0 += add[BLE4_BY_BLE5]
+                c1 += add[POINTER_BY_BLE5]
+                c2 += add[AUXILIARY_BY_BLE5]
+                c3 += add[WIFI_BY_BLE5]
             if modes & 4 and rates[j, 2] > 0:
-                for c in range(_BY_WIFI, PARTS_OF_LOAD):
-                    total[c] += add[c]
+                w0 += add[WIFI_BY_WIFI]
+                w1 += add[AUXILIARY_BY_WIFI]
+                w2 += add[LOAD]
+        total = around.total[i]
+        total[BLE4_BY_BLE4], total[POINTER_BY_BLE4] = b0, b1
+        total[BLE4_BY_BLE5], total[POINTER_BY_BLE5], total[AUXILIARY_BY_BLE5], total[WIFI_BY_BLE5] = (
+            c0,
+            c1,
+            c2,
+            c3,
+        )
+        total[WIFI_BY_WIFI], total[AUXILIARY_BY_WIFI], total[LOAD] = w0, w1, w2
 
 
 @_compiled
@@ -300,24 +246,38 @@ def _sensed(
 
 @_compiled
 def _common(
-    i: int, size: int, position: Floats, reach2: float, places: Floats, near: Floats, who: Integers
-) -> tuple[float, float]:
-    """Weighted sums over the stations of a sample that also reach aircraft i."""
-    blind = load = 0.0
+    j: int, first: int, after: int, size: int, position: Floats, links: Links, reach2: float, places: Floats,
+    near: Floats, who: Integers, common: Floats, names: Integers,
+) -> None:  # fmt: skip
+    """Sums over the stations of a sample that also reach each of the receivers of aircraft j's links from
+    `first` to `after`.
+
+    Args:
+        common: shape (5, BLOCK): receives the sum of `near`'s columns in its first two rows.
+        names: shape (BLOCK,): working space.
+    """
+    number = after - first
+    blind, load, north, east, down = common[0], common[1], common[2], common[3], common[4]
+    for r in range(number):
+        i = links.other[first + r]
+        names[r], north[r], east[r], down[r] = i, position[i, 0], position[i, 1], position[i, 2]
+        blind[r] = load[r] = 0.0
+    # The inner loop has no branches, so that the compiler computes several receivers at once. The sums of
+    # each of them are in the order of the stations.
     for s in range(size):
-        n, e, d = (
-            places[s, 0] - position[i, 0], places[s, 1] - position[i, 1], places[s, 2] - position[i, 2]
-        )  # fmt: skip
-        if n * n + e * e + d * d <= reach2 and who[s] != i:
-            blind += near[s, 0]
-            load += near[s, 1]
-    return blind, load
+        pn, pe, pd, a, b, name = places[s, 0], places[s, 1], places[s, 2], near[s, 0], near[s, 1], who[s]
+        for r in range(number):
+            n, e, d = pn - north[r], pe - east[r], pd - down[r]
+            reaches = (n * n + e * e + d * d <= reach2) & (name != names[r])
+            blind[r] += a if reaches else 0.0
+            load[r] += b if reaches else 0.0
 
 
 @_compiled
 def _survive(
     turn: Integers, starts: Floats, rates: Integers, position: Floats, air: Air, links: Links,
-    around: Around, chances: Chances, places: Floats, near: Floats, who: Integers,
+    around: Around, chances: Chances, places: Floats, near: Floats, who: Integers, common: Floats,
+    names: Integers,
 ) -> None:  # fmt: skip
     """Compute the reception probabilities of all links whose senders are in `turn`."""
     for t in range(len(turn)):
@@ -327,79 +287,66 @@ def _survive(
             sends |= (1 << m) if rates[j, m] > 0 else 0
         if sends & 4 and around.listens != 0.0:
             size = _sensed(j, starts[t], rates, position, links, around, places, near, who)
-        for e in range(links.start[j], links.start[j + 1]):
-            i, at = links.other[e], links.back[e]
-            on = links.modes[e] & sends
-            chance = links.chance[at]
-            chance[0] = chance[1] = chance[2] = 0.0
-            ble4, pointer, auxiliary, wifi = _logs(i, j, on, around)
-            if on & 1:
-                chance[0] = -math.exp(_on_line(chances.ble4[rates[j, 0]], ble4))
-            if on & 2:
-                chance[1] = -math.exp(_on_grid(chances.ble5[rates[j, 1]], pointer, auxiliary))
-            if on & 4:
-                if around.listens != 0.0:
-                    blind, load = _common(i, size, position, around.reach2, places, near, who)
-                    wifi = min(wifi - blind, 0.0) - load * around.crowding[j]
-                wifi += around.total[i, WIFI_BY_BLE5] - (around.adds[j, WIFI_BY_BLE5] if on & 2 else 0.0)
-                wifi = min(wifi, 0.0) + around.wifi_quiet
-                share = around.total[j, LOAD] / _HIGHEST_LOAD * (chances.wifi.shape[2] - 1)
-                chance[2] = -math.exp(_on_loads(chances.wifi[rates[j, 2]], wifi, share))
+        share = around.total[j, LOAD] / HIGHEST_LOAD * (chances.wifi.shape[2] - 1)
+        end = links.start[j + 1]
+        for first in range(links.start[j], end, BLOCK):
+            after = min(first + BLOCK, end)
+            if sends & 4 and around.listens != 0.0:
+                _common(
+                    j, first, after, size, position, links, around.reach2, places, near, who, common, names
+                )  # fmt: skip
+            for e in range(first, after):
+                i, on = links.other[e], links.modes[e] & sends
+                total, own, hearing, chance = (
+                    around.total[i],
+                    around.adds[j],
+                    around.hearing[i],
+                    links.chance[e],
+                )
+                chance[0] = chance[1] = chance[2] = 0.0
+                if on & 1:
+                    log = _of_ble4(total, own, on) + hearing[0]
+                    chance[0] = -math.exp(on_line(chances.ble4[rates[j, 0]], log))
+                if on & 2:
+                    pointer, auxiliary = _of_ble5(total, own, on, around.listens)
+                    chance[1] = -math.exp(
+                        on_grid(chances.ble5[rates[j, 1]], pointer + hearing[1], auxiliary + hearing[2])
+                    )
+                if on & 4:
+                    wifi = total[WIFI_BY_WIFI] - own[WIFI_BY_WIFI]
+                    if around.listens != 0.0:
+                        blind, load = common[0, e - first], common[1, e - first]
+                        wifi = min(wifi - blind, 0.0) - load * around.crowding[j]
+                    wifi += total[WIFI_BY_BLE5] - (own[WIFI_BY_BLE5] if on & 2 else 0.0)
+                    wifi = min(wifi, 0.0) + around.wifi_quiet
+                    chance[2] = -math.exp(on_loads(chances.wifi[rates[j, 2]], wifi, share))
 
 
 @_compiled
-def _logs(i: int, j: int, on: int, around: Around) -> tuple[float, float, float, float]:
-    """Log survival of the BLE 4 PDU, pointer, auxiliary packet and beacon from j at i. For the beacon, only
-    collisions with other Wi-Fi, without carrier sense."""
-    total, own, hearing = around.total[i], around.adds[j], around.hearing[i]
-    on4, on5, on_wifi = float(on & 1), float((on >> 1) & 1), float((on >> 2) & 1)
-    ble4 = total[BLE4_BY_BLE4] - on4 * own[BLE4_BY_BLE4] + total[BLE4_BY_BLE5] - on5 * own[BLE4_BY_BLE5]
+def _of_ble4(total: Floats, own: Floats, on: int) -> float:
+    """Log survival of a BLE 4 PDU under the transmissions of all others than its sender.
+
+    Args:
+        total: `Around.total` of the receiver.
+        own: `Around.adds` of the sender.
+        on: transports on which the sender reaches the receiver, one bit each.
+    """
+    on5 = float((on >> 1) & 1)
+    log = total[BLE4_BY_BLE4] - own[BLE4_BY_BLE4] + total[BLE4_BY_BLE5] - on5 * own[BLE4_BY_BLE5]
+    return min(float(log), 0.0)
+
+
+@_compiled
+def _of_ble5(total: Floats, own: Floats, on: int, listens: float) -> tuple[float, float]:
+    """Log survival of a pointer and its auxiliary packet; see `_of_ble4`."""
+    on4, on_wifi = float(on & 1), float((on >> 2) & 1)
     pointer = (
-        total[POINTER_BY_BLE5] - on5 * own[POINTER_BY_BLE5]
-        + total[POINTER_BY_BLE4] - on4 * own[POINTER_BY_BLE4]
-    )  # fmt: skip
-    auxiliary = total[AUXILIARY_BY_BLE5] - on5 * own[AUXILIARY_BY_BLE5]
+        total[POINTER_BY_BLE5] - own[POINTER_BY_BLE5] + total[POINTER_BY_BLE4] - on4 * own[POINTER_BY_BLE4]
+    )
+    auxiliary = total[AUXILIARY_BY_BLE5] - own[AUXILIARY_BY_BLE5]
     beacons = min(total[AUXILIARY_BY_WIFI] - on_wifi * own[AUXILIARY_BY_WIFI], 0.0)
-    if around.listens != 0.0:
+    if listens != 0.0:
         auxiliary += math.log1p(-_WIDE * (1.0 - math.exp(beacons)))
     else:
         auxiliary += beacons
-    wifi = total[WIFI_BY_WIFI] - on_wifi * own[WIFI_BY_WIFI]
-    return (
-        min(ble4, 0.0) + hearing[0], min(pointer, 0.0) + hearing[1], min(auxiliary, 0.0) + hearing[2], wifi
-    )  # fmt: skip
-
-
-@_compiled
-def _place(log: float, nodes: int) -> tuple[int, float]:
-    """Table node below a log survival, and the fraction of the way to the next node."""
-    at = (log - _LOWEST) * ((nodes - 1) / -_LOWEST)
-    node = min(max(math.floor(at), 0), nodes - 2)
-    return node, at - node
-
-
-@_compiled
-def _on_line(table: Floats, log: float) -> float:
-    node, share = _place(log, len(table))
-    return float(table[node] + share * (table[node + 1] - table[node]))
-
-
-@_compiled
-def _on_grid(table: Floats, first: float, second: float) -> float:
-    node, share = _place(second, table.shape[1])
-    low, part = _place(first, table.shape[0])
-    below = table[low, node] + share * (table[low, node + 1] - table[low, node])
-    above = table[low + 1, node] + share * (table[low + 1, node + 1] - table[low + 1, node])
-    return float(below + part * (above - below))
-
-
-@_compiled
-def _on_loads(table: Floats, log: float, at: float) -> float:
-    """Interpolate a table at a log survival and a load index; a load beyond the highest node is clamped to
-    it."""
-    node = min(math.floor(at), table.shape[1] - 2)
-    share = min(at - node, 1.0)
-    low, part = _place(log, table.shape[0])
-    below = table[low, node] + share * (table[low, node + 1] - table[low, node])
-    above = table[low + 1, node] + share * (table[low + 1, node + 1] - table[low + 1, node])
-    return float(below + part * (above - below))
+    return min(pointer, 0.0), min(auxiliary, 0.0)

@@ -50,7 +50,7 @@ def radio_of(
 def mean_delay_s(radio: AnalyticRadio, state: State, rates: Integers, i: int, e: int, mode: int) -> float:
     """Mean delay (s) that corresponds to the probability of a link."""
     j = int(state.links.other[e])
-    p = -math.expm1(float(state.links.chance[e, mode]))
+    p = -math.expm1(float(state.links.chance[state.links.back[e], mode]))
     wait_s = float(radio.frames.wait_s[j]) if mode == 2 else 0.0
     return (1.0 / p - 0.5) / int(rates[j, mode]) + float(radio.frames.offset_s[mode]) + wait_s
 

@@ -27,10 +27,10 @@ def full_table(rng: np.random.Generator, spread_m: float) -> Tracks:
     tracks = new_tracks(1, MOST)
     tracks.used[0] = MOST
     tracks.who[0] = rng.permutation(50)[:MOST]
+    tracks.past[0] = np.array(k.NO_PAST)
     tracks.heard[0, :, 0] = NOW_S - rng.uniform(0.0, 5.0, MOST)
     tracks.heard[0, :, 1:4] = rng.uniform(-spread_m, spread_m, (MOST, 3)) * [1.0, 1.0, 0.2]
     tracks.heard[0, :, 4:7] = rng.uniform(-10.0, 10.0, (MOST, 3)) * [1.0, 1.0, 0.1]
-    tracks.past[0] = np.array(k.NO_PAST)
     tracks.messages[0] = rng.integers(1, 6, MOST)
     tracks.together[0] = rng.random(MOST) < 0.3
     tracks.threat_s[0] = np.where(rng.random(MOST) < 0.3, NOW_S - 2.0, -math.inf)
