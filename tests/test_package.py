@@ -19,6 +19,7 @@ from companion.commands import cli as companion_cli
 from ground_tools import cli as tools_cli
 from sitl_mocks import cli as mocks_cli
 from tests import installed
+from tests.support.encounter_models import NAMES
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("dmuca", "companion", "sitl_mocks", "ground_tools")
@@ -118,8 +119,7 @@ HERE = {
     "super8.scn",
     "wall.scn",
     "Flight_intention_very_low_40_8_W1.csv",
-    "uncor_1200only_rotorcraft_v1p2.txt",
-    "glider_v1.txt",
+    *(f"{name}.txt" for name in NAMES),
     "00000042.BIN",
     "flight.ulg",
     "drone1.ulg",

@@ -9,7 +9,7 @@ from typing import Final
 from companion.remote_id.captures.radiotap import build_radiotap
 from tests.fuzz.radio_targets import pcap
 from tests.fuzz.seeds import built
-from tests.support import onboard_logs
+from tests.support import encounter_models, onboard_logs
 
 _ROOT: Final = Path(__file__).parents[2]
 _DATA: Final = _ROOT / "tests" / "data"
@@ -53,5 +53,5 @@ def write(folder: Path) -> None:
     # INTENTIONS with D1 12 s later: then the two meet.
     meeting = INTENTIONS.replace("MP20,00:00:10", "MP20,00:00:22")
     (folder / "Flight_intention_very_low_40_8_W1.csv").write_text(meeting)
-    for name in ("uncor_1200only_rotorcraft_v1p2.txt", "glider_v1.txt"):
-        shutil.copy(_DATA / "encounters" / "tiny.txt", folder / name)
+    for name in encounter_models.NAMES:
+        shutil.copy(encounter_models.TINY, folder / f"{name}.txt")
