@@ -78,21 +78,29 @@ class Source:
         if stamp_s is None:
             return
         if last is not None and last.stamp_s is not None and passed_s <= _STEP_WITHIN_S:
-            own_s, stepped_s = stamp_s - last.stamp_s, last.stamp_s + passed_s - stamp_s
-            noise_m = 2.0 + 2.0 * math.hypot(last.sigma_m, fix.sigma_m)
-            as_sent_m, redated_m = _off_m(last, fix, own_s), _off_m(last, fix, own_s + self.slow_s)
-            least_m = min(as_sent_m, redated_m)
-            if least_m <= noise_m + 0.5 * _TURNS_MPS2 * min(abs(own_s), passed_s) ** 2:
-                if redated_m > as_sent_m + noise_m:
-                    self.slow_s = 0.0
-            elif stepped_s >= _STEP_S:
-                bent_m = 0.5 * _GENTLE_MPS2 * passed_s * passed_s
-                if _off_m(last, fix, passed_s) <= min(noise_m + bent_m, 0.5 * least_m):
-                    self.slow_s = stepped_s
+            stepped_s = last.stamp_s + passed_s - stamp_s
+            if self.slow_s or stepped_s >= _STEP_S:
+                self.slow_s = self._slow_s(last, fix, passed_s, stepped_s)
         fix.stamp_s = stamp_s + self.slow_s
         ahead = fix.stamp_s > now_s + _AHEAD_S
         if not ahead and (last is None or not same(last.content, fix.content)):
             self.last, self.last_s = fix, now_s
+
+    def _slow_s(self, last: Fix, fix: Fix, passed_s: float, stepped_s: float) -> float:
+        """How far the clock has stepped back, after another Location.
+
+        Args:
+            passed_s: time between the receptions of both.
+            stepped_s: how much less time passed by the timestamp.
+        """
+        own_s, noise_m = passed_s - stepped_s, 2.0 + 2.0 * math.hypot(last.sigma_m, fix.sigma_m)
+        as_sent_m, redated_m = _off_m(last, fix, own_s), _off_m(last, fix, own_s + self.slow_s)
+        least_m = min(as_sent_m, redated_m)
+        if least_m <= noise_m + 0.5 * _TURNS_MPS2 * min(abs(own_s), passed_s) ** 2:
+            return 0.0 if redated_m > as_sent_m + noise_m else self.slow_s
+        bent_m = 0.5 * _GENTLE_MPS2 * passed_s * passed_s
+        goes_on = _off_m(last, fix, passed_s) <= min(noise_m + bent_m, 0.5 * least_m)
+        return stepped_s if goes_on and stepped_s >= _STEP_S else self.slow_s
 
 
 _STEP_S, _STEP_WITHIN_S = 1.0, 5.0
