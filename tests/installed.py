@@ -84,7 +84,7 @@ SMALLER: Final = (
 """Pairs of a pattern in a command of the docs and what stands there instead when it is tried."""
 SERVES: Final = (
     r"sitl-mocks (serve|ether)",
-    r"companion run",
+    r"companion (run|display|status)",
     r"companion remote-id listen",
     r"ground-tools inspect .*(--web|--live)",
 )
@@ -130,7 +130,7 @@ PAGES: Final = (
     ROOT / "README.md",
     ROOT / "results" / "README.md",
 )
-_WAITS: Final = (*SERVES, r"companion (check|display|status)")
+_WAITS: Final = (*SERVES, r"companion check")
 """Commands that hardly compute: they wait for a vehicle, a browser or Ctrl-C."""
 _AFTER_FIRST_WORDS_S: Final = 6.0
 _MOST_S: Final = 600.0
