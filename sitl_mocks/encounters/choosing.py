@@ -227,9 +227,9 @@ def choices_in_words(chosen: Sequence[Chosen], most: int = 5) -> str:
     shares = list(shares_of(chosen).items())
     if not shares:
         return "transports: no Locations were sent"
-    words = [f"{name} {100.0 * share:.0f} %" for name, share in shares[:most]]
+    words = [f"{100.0 * share:.0f} % {name}" for name, share in shares[:most]]
     if len(shares) > most:
-        words.append(f"{len(shares) - most} other sets {100.0 * sum(s for _, s in shares[most:]):.0f} %")
+        words.append(f"{100.0 * sum(s for _, s in shares[most:]):.0f} % in {len(shares) - most} other sets")
     words.append(f"{mean_switches(chosen):.1f} switches per minute and aircraft")
     if fallback_share(chosen) > 0.0:
         words.append(f"{100.0 * fallback_share(chosen):.1f} % of the time on the fallback")

@@ -322,7 +322,8 @@ def _fly_all(
             pool.shutdown(wait=False, cancel_futures=True)
             for child in multiprocessing.active_children():
                 child.terminate()
-            console.print("Interrupted. The results so far are above.")
+            above = " The results so far are above." if waiting != seeds else ""
+            console.print(f"Interrupted.{above}")
             raise
 
 

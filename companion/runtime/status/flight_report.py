@@ -75,11 +75,14 @@ class FlightReport:
         """Status line: state of authority, what is heard, what is wrong."""
         core, health = self.onboard.core, self.radio.health(now_s)
         mode = core.own.mode.value if core.own.mode is not None else "unknown"
+        arming = ", armed" if core.own.armed else ", disarmed"
+        if core.own.heartbeat is None:
+            arming = ""
         unfit = core.own.unfit(now_s, self.config.vehicle.stale_after_s)
         idle = core.idle_because(now_s)
         doing = core.state.value if idle is None else f"{core.state.value}: {idle}"
         return (
-            f"{doing}; vehicle mode {mode}, {'armed' if core.own.armed else 'disarmed'}; "
+            f"{doing}; vehicle mode {mode}{arming}; "
             f"{unfit or 'own state valid'}; {len(core.traffic.tracks)} tracks; radio: {health.text}; "
             f"{self._on_air(now_s)}frames sent {health.frames_sent}, heard {health.frames_heard}; "
             f"late ticks {late_ticks}{self._wrong(now_s)}"

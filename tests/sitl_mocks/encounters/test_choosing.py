@@ -204,7 +204,7 @@ def test_time_on_each_set_and_switches():
     other = Chosen({"wifi 5": 20.0})
     assert shares_of([one, other]) == {"wifi 5": 0.75, "ble4 3 + wifi 10": 0.25}
     assert choosing.choices_in_words([one, other]) == (
-        "transports (Locations per second): wifi 5 75 %, ble4 3 + wifi 10 25 %, "
+        "transports (Locations per second): 75 % wifi 5, 25 % ble4 3 + wifi 10, "
         "1.0 switches per minute and aircraft"
     )
     assert choosing.choices_in_words([Chosen()]) == "transports: no Locations were sent"
