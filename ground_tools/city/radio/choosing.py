@@ -32,7 +32,8 @@ from companion.errors import ConfigError
 from companion.remote_id.region import Region
 from companion.traffic.senders.reception import HEARD_S, SHARE_MEMORY_S
 from ground_tools.campaign.vehicles import M_POSITION, M_TIME, M_VELOCITY
-from ground_tools.city.compiled import compiled
+from ground_tools.city.compiled import compiled, fetch
+from ground_tools.city.draws import AHEAD
 from ground_tools.city.loop import State
 from ground_tools.city.tables import NOBODY
 
@@ -286,7 +287,11 @@ def _observe(
         least[t], first = math.inf, used
         close = 0
         near[:, 0] = math.inf
-        for e in range(links.start[i], links.start[i + 1]):
+        end = links.start[i + 1]
+        for e in range(links.start[i], end):
+            if e + AHEAD < end and links.row[e + AHEAD] != NOBODY:
+                fetch(tracks.on_s, (i, links.row[e + AHEAD], 0))
+                fetch(tracks.heard, (i, links.row[e + AHEAD], 0))
             j, row = links.other[e], links.row[e]
             if row == NOBODY or tracks.who[i, row] != air.flight[j] or used - first == most:
                 continue
