@@ -10,13 +10,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from numba import config
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import config, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from companion.avoidance.kernels.compiled import CacheWithMemory
 from ground_tools.campaign import compiled as campaign
 
 Function = TypeVar("Function")
-_COMPILED = ("flights", "tables", "links", "draws", "tracks", "judging", "loop", "measure", "energy")
+_COMPILED = (
+    "compiled", "flights", "tables", "links", "draws", "tracks", "judging", "loop", "measure", "energy",
+)  # fmt: skip
 _OF_RADIO = ("chances", "reception", "choosing", "awareness")
 SOURCES = (
     *campaign.SOURCES,
@@ -43,3 +49,28 @@ def compiled(**options: Any) -> Callable[[Function], Function]:
             vars(config)["CACHE_DIR"] = held
 
     return decorate
+
+
+def _fetch(_: Any, array: Any, index: Any) -> Any:
+    tools: Any = cgutils  # numba has no types
+
+    def generate(target: Any, builder: Any, signature: Any, values: Any) -> Any:
+        kind, numbers = signature.args
+        parts = zip(tools.unpack_tuple(builder, values[1]), numbers, strict=True)
+        at = [target.cast(builder, part, number, types.intp) for part, number in parts]
+        held = target.make_array(kind)(target, builder, values[0])
+        entry = tools.get_item_pointer(target, builder, kind, held, at)
+        place, number = builder.bitcast(entry, ir.IntType(8).as_pointer()), ir.IntType(32)
+        what = ir.FunctionType(ir.VoidType(), [place.type, number, number, number])
+        prefetch = tools.get_or_insert_function(builder.module, what, "llvm.prefetch.p0")
+        builder.call(prefetch, [place, number(0), number(3), number(1)])  # to read, into all caches, data
+        return target.get_dummy_value()
+
+    return types.void(array, index), generate
+
+
+fetch: Callable[[NDArray[Any], tuple[int, ...]], None] = cast(Any, intrinsic(_fetch))
+"""Ask for the cache line that holds an entry of an array, in compiled code. The index has to be valid.
+
+The tables of many aircraft are larger than the processor's caches. Rows that are asked for before they are
+needed arrive together, instead of one after the other."""

@@ -8,8 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.arrays import Floats, Integers
-from ground_tools.city.compiled import compiled
+from ground_tools.city.compiled import compiled, fetch
 from ground_tools.city.tables import Links
+
+AHEAD = 8
+"""Number of links ahead of which memory is asked for."""
 
 
 class Frames(NamedTuple):
@@ -41,7 +44,11 @@ def draw_arrivals(
     of frames that fail before the first success has a geometric distribution. The mean over many messages
     is the mean delay of the equations, with which the probability was computed.
     """
-    for e in range(links.start[j], links.start[j + 1]):
+    end = links.start[j + 1]
+    for e in range(links.start[j], end):
+        if e + AHEAD < end:
+            fetch(links.arrival, (links.back[e + AHEAD], 0))
+            fetch(links.due_s, (links.back[e + AHEAD],))
         at = links.back[e]
         arrival, by = math.inf, 0
         for m in range(links.chance.shape[1]):

@@ -18,7 +18,7 @@ from companion.avoidance import kernels as k
 from companion.avoidance.kernels.neighbours import GROWTH_AHEAD_S, Volume, volume_of
 from ground_tools.campaign.vehicles import M_POSITION, M_TIME, M_VELOCITY, MESSAGE_COLUMNS, Fleet
 from ground_tools.campaign.world import Conditions
-from ground_tools.city.compiled import compiled
+from ground_tools.city.compiled import compiled, fetch
 from ground_tools.city.judging import Judge, give_up, loss_s, threatens
 from ground_tools.city.tables import BURST, NOBODY, Air, Links, Tracks
 
@@ -56,6 +56,13 @@ def receive(
 ) -> None:  # fmt: skip
     """Take the messages that aircraft i has received into its tracks."""
     for e in range(links.start[i], links.start[i + 1]):
+        if links.due_s[e] <= now:
+            fetch(links.arrival, (e, 0))
+            fetch(craft.sent, (links.other[e], 0, 0))
+            if links.row[e] != NOBODY:
+                _fetch_first(i, links.row[e], tracks)
+                fetch(tracks.on_s, (i, links.row[e], 0))
+    for e in range(links.start[i], links.start[i + 1]):
         if links.due_s[e] > now:
             continue
         links.due_s[e] = math.inf
@@ -64,6 +71,13 @@ def receive(
                 links.arrival[e, s] = math.inf
                 _take(now, world, i, e, s, craft, air, tracks, links, judge, desk)
             links.due_s[e] = min(links.due_s[e], links.arrival[e, s])
+
+
+@_inlined
+def _fetch_first(i: int, row: int, tracks: Tracks) -> None:
+    """Ask for what decisions read of a track."""
+    fetch(tracks.got_s, (i, row))
+    fetch(tracks.past, (i, row, MESSAGE_COLUMNS))
 
 
 @_compiled
@@ -273,6 +287,9 @@ def look(
     They are sorted by flight number, so that the order of reception is irrelevant. Old tracks are removed.
     """
     count, needed = 0, needed_m(now, i, own, law, scope, tracks)
+    for row in range(tracks.used[i]):
+        if tracks.beyond_m[i, row] < needed:
+            _fetch_first(i, row, tracks)
     for row in range(tracks.used[i]):
         if tracks.beyond_m[i, row] >= needed:
             continue

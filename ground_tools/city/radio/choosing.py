@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, Protocol
 
 import numpy as np
@@ -32,7 +33,8 @@ from companion.errors import ConfigError
 from companion.remote_id.region import Region
 from companion.traffic.senders.reception import HEARD_S, SHARE_MEMORY_S
 from ground_tools.campaign.vehicles import M_POSITION, M_TIME, M_VELOCITY
-from ground_tools.city.compiled import compiled
+from ground_tools.city.compiled import compiled, fetch
+from ground_tools.city.draws import AHEAD
 from ground_tools.city.loop import State
 from ground_tools.city.tables import NOBODY
 
@@ -148,7 +150,7 @@ class Senses:
         arrived = rng.poisson(arriving)
         share = np.minimum(arrived / np.maximum(expected, 1e-9) / SCAN_SHARE, 1.0)
         rates = state.air.rates[turn]
-        identity = np.array([identity_of(name_of(int(f))) for f in state.air.flight[turn]])
+        identity = np.array([_identity(f) for f in state.air.flight[turn].tolist()])
         own = own_row(np, rates, share, measured, identity.reshape(len(turn), IDENTITY_BITS))
         return Seen(own, self._rows[:used], count, least)
 
@@ -156,6 +158,11 @@ class Senses:
 def name_of(flight: int) -> str:
     """Remote ID identity of a flight."""
     return f"city-{flight:07d}"
+
+
+@lru_cache(maxsize=1 << 16)
+def _identity(flight: int) -> tuple[float, ...]:
+    return identity_of(name_of(flight))
 
 
 class ByPolicy:
@@ -269,13 +276,27 @@ def set_values(tensors: Tensors, own: Float32s, rows: Float32s, count: Integers)
                 np.maximum(h, 0.0, out=h)
             starts = end[some] - count[some] - base
             pooled[some, :hidden] = np.log1p(np.add.reduceat(h, starts, axis=0))
-            pooled[some, hidden : 2 * hidden] = np.maximum.reduceat(h, starts, axis=0)
+            largest(h, starts, some, pooled[:, hidden : 2 * hidden])
         first = after
     pooled[:, 2 * hidden :] = own
     z = pooled
     for layer in ("rho0", "rho1"):
         z = np.maximum(z @ tensors[f"{layer}.weight"].T + tensors[f"{layer}.bias"], 0.0)
     return np.asarray(z @ tensors["out.weight"].T + tensors["out.bias"], np.float32)
+
+
+@_compiled
+def largest(h: Float32s, starts: Integers, some: Integers, pooled: Float32s) -> None:
+    """`np.maximum.reduceat` along the rows, written to some rows of `pooled`: several times as fast."""
+    for s in range(len(starts)):
+        out = pooled[some[s]]
+        end = starts[s + 1] if s + 1 < len(starts) else len(h)
+        for c in range(h.shape[1]):
+            out[c] = h[starts[s], c]
+        for r in range(starts[s] + 1, end):
+            for c in range(h.shape[1]):
+                value = h[r, c]
+                out[c] = value if value > out[c] or value != value else out[c]
 
 
 @_compiled
@@ -297,7 +318,11 @@ def _observe(
         least[t], first = math.inf, used
         close = 0
         near[:, 0] = math.inf
-        for e in range(links.start[i], links.start[i + 1]):
+        end = links.start[i + 1]
+        for e in range(links.start[i], end):
+            if e + AHEAD < end and links.row[e + AHEAD] != NOBODY:
+                fetch(tracks.on_s, (i, links.row[e + AHEAD], 0))
+                fetch(tracks.heard, (i, links.row[e + AHEAD], 0))
             j, row = links.other[e], links.row[e]
             if row == NOBODY or tracks.who[i, row] != air.flight[j] or used - first == most:
                 continue

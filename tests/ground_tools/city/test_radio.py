@@ -19,7 +19,7 @@ from ground_tools.city.draws import draw_arrivals
 from ground_tools.city.links import Grid
 from ground_tools.city.loop import State
 from ground_tools.city.measure import new_tally
-from ground_tools.city.radio.choosing import ByPolicy, Fixed, Seen
+from ground_tools.city.radio.choosing import ByPolicy, Fixed, Seen, largest
 from ground_tools.city.radio.reception import AnalyticRadio
 from ground_tools.city.tables import new_air, new_fleet, new_near, new_tracks
 from sitl_mocks.channel import Analytic, ChannelParameters, Fleet, all_links, draw_positions, load_parameters
@@ -169,3 +169,14 @@ def test_a_policy_chooses_as_aboard() -> None:
         assert values[one].argmax() == choice.index
         wanted = policy.values(own[one], seen[np.sort(np.argsort(seen[:, 0], kind="stable")[:99])])
         assert values[one] == pytest.approx(wanted, rel=1e-4, abs=1e-4)
+
+
+def test_the_largest_values_of_each_aircraft_are_those_of_numpy() -> None:
+    rng = np.random.default_rng(6)
+    h = np.maximum(rng.normal(size=(40, 5)), 0.0).astype(np.float32)
+    h[7, 2], h[12, 0] = math.nan, math.inf
+    starts, some = np.array([0, 1, 9, 20]), np.array([0, 2, 3, 5])
+    found = np.zeros((6, 9), np.float32)
+    largest(h, starts, some, found[:, 2:7])
+    assert np.array_equal(found[some, 2:7], np.maximum.reduceat(h, starts, axis=0), equal_nan=True)
+    assert not found[[1, 4]].any()
