@@ -26,14 +26,15 @@ STALLED = re.compile(
     r"the program was stopped for(.|\n)* -> (fault|yielded)|-> fault: the control loop is late"
 )
 """In a companion's log: the machine stood still for so long that the companion gave the vehicle back."""
-MOCK_STALLED = "the vehicle flew on without its links"
-"""In the log of a mock vehicle: it stood still, and its companion may have to give it back."""
+MOCK_STALLED = re.compile(r"stopped for (0\.[6-9]|[1-9]\d*\.\d) s; the vehicle flew on without its links")
+"""In the log of a mock vehicle: it stood still for so long that its companion may have to give it back, which
+happens when no position has come for a second."""
 GIVEN_BACK = re.compile("-> (fault|yielded)")
 
 
 def stalled(companion: str, vehicles: str) -> bool:
     """Whether a stall made a companion give its vehicle back, by its output and that of the mock vehicles."""
-    return bool((GIVEN_BACK if MOCK_STALLED in vehicles else STALLED).search(companion))
+    return bool((GIVEN_BACK if MOCK_STALLED.search(vehicles) else STALLED).search(companion))
 
 
 class StalledError(AssertionError):

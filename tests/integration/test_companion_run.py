@@ -108,6 +108,10 @@ def count_setpoints(items):
 
 def wait_for_setpoints(tmp_path, count, companion):
     """Wait until as many are in the record: on a busy machine they come more slowly than at 20 Hz."""
+    files = (tmp_path / "runs").glob
+    until(
+        lambda: any(file.stat().st_size for file in files(f"*-test/{NAME}.events")), "the record", PATIENCE_S
+    )
     until(
         lambda: count_setpoints(the_record(tmp_path)[1]) >= count,
         "setpoints",

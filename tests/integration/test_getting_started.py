@@ -23,6 +23,8 @@ PAGE = (ROOT / "docs" / "getting-started.md").read_text()
 PARTS = re.findall(r"Save this as `(\S+)`:\n\n```toml\n(.*?)```|((?:^    [^\n]*\n)+)", PAGE, re.S | re.M)
 PORTS = ("14640", "14540", "14541")
 PATIENCE_S = 500.0
+FLIGHTS = 4
+"""If a stall of the machine ends so many encounters, each about half a minute long, it cannot fly them."""
 
 
 def script():
@@ -122,10 +124,14 @@ def logs(folder):
 
 def test_two_aircraft_meet_and_are_kept_apart(short_paths, programs):
     pytest.importorskip("matplotlib", reason="the report needs the extra inspect")
-    give_up_s, code = time.monotonic() + PATIENCE_S, None
-    while code is None:
+    give_up_s = time.monotonic() + PATIENCE_S
+    for _ in range(FLIGHTS):
         place = short_paths()
         code = follow(place, programs, give_up_s)
+        if code is not None:
+            break
+    else:
+        pytest.skip(f"a stall of this machine ended each of {FLIGHTS} encounters")
     output = (place / "output.txt").read_text()
     assert code == 0, output
     folder = place / "first-flight"

@@ -92,7 +92,10 @@ def test_a_stall_of_the_mock_vehicle_excuses_a_companion_that_gives_it_back(star
     companion.must_not_stall = True
     companion.log.write_text(said)
     companion.check_stall()
-    vehicle.log.write_text("the program was stopped for 1.2 s; the vehicle flew on without its links\n")
+    words = "the program was stopped for {} s; the vehicle flew on without its links\n"
+    vehicle.log.write_text(words.format(0.3))
+    companion.check_stall()
+    vehicle.log.write_text(words.format(1.2))
     with pytest.raises(StalledError):
         companion.check_stall()
     companion.log.write_text("standby -> guarding: ready\n")
