@@ -65,10 +65,11 @@ _FLIGHT_MODE, _EKF_PRIMARY = 10, 24
 """Subsystems whose error code is a number: of the refused mode, of the new core."""
 _ALARMING = re.compile(
     r"\b(pre)?arm: |fail|error|\bbad\b|lost|glitch|variance|unhealthy|not healthy|crash|emergency|breach"
-    r"|\blow (battery|voltage)|inconsistent|timeout|refused|thrust loss|stopped aiding|disarming",
+    r"|\blow (battery|voltage)|inconsistent|timeout|refused|thrust loss|stopped aiding|disarming(?! motors)",
     re.IGNORECASE,
 )
-"""Texts have no severity in the log. Those that contain one of these words count as warnings."""
+"""Texts have no severity in the log. Those that contain one of these words count as warnings. "Disarming
+motors" is how an ordinary flight ends."""
 _VEHICLES = {
     1: mavlink.MAV_TYPE_GROUND_ROVER,
     2: mavlink.MAV_TYPE_QUADROTOR,

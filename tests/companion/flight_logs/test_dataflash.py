@@ -78,6 +78,19 @@ def test_warnings_are_told_from_the_rest(copter: bytes):
     }
 
 
+@pytest.mark.parametrize(
+    ("text", "severity"),
+    [("Disarming motors", 6), ("Crash: Disarming", 4), ("BlackBox: disarming at 3.0 m/s", 4)],
+)
+def test_an_ordinary_disarming_is_no_warning(tmp_path: Path, text: str, severity: int):
+    """Copters, rovers and submarines send the first one at the end of every flight, as information."""
+    log = DataFlashWriter()
+    log.define("MSG", "QZ", "TimeUS,Message", "F-")
+    log.write("MSG", 1_000, text)
+    found, _ = read(log.save(tmp_path / "x.bin").read_bytes())
+    assert [(one.text, one.severity) for one in of(VehicleText, found)] == [(text, severity)]
+
+
 @pytest.mark.parametrize("centimetres", [True, False])
 def test_guided_velocities_are_in_the_unit_that_the_log_says(tmp_path: Path, centimetres: bool):
     found, about = read(logs.copter(tmp_path / "x.bin", centimetres=centimetres).read_bytes())

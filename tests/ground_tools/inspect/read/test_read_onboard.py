@@ -15,10 +15,9 @@ from pymavlink import DFReader
 from pyulog import ULog
 
 from companion.errors import ConfigError
-from companion.events import Heartbeat, VehicleText
+from companion.events import VehicleText
 from companion.flight_logs.logged import plain
 from ground_tools.inspect.read.flown import flown
-from ground_tools.inspect.read.modes import mode_name
 from ground_tools.inspect.read.nearness import ADSB_STAMP_S
 from ground_tools.inspect.read.read_run import AircraftRecord, Run, read_run
 from ground_tools.inspect.read.timeline import together
@@ -42,13 +41,13 @@ class Other:
 
     places: list[tuple[float, float, float]]
     """Latitude, longitude (deg), altitude above mean sea level (m) of every valid position."""
-    modes: list[object]
-    """Mode numbers of the firmware, one for each change."""
+    modes: list[str]
+    """Names of the modes, one for each change."""
     texts: list[str]
     utc_offset_s: float | None
 
 
-def changes(values: list[object]) -> list[object]:
+def changes(values: list[str]) -> list[str]:
     return [value for n, value in enumerate(values) if n == 0 or value != values[n - 1]]
 
 
@@ -66,7 +65,7 @@ def by_pymavlink(path: Path, source: str) -> Other:
                 DFReader.DFReaderClock()._gpsTimeToTime(message.GWk, message.GMS) - message.TimeUS / 1e6
             )
         if kind == "MODE":
-            found.modes.append(message.ModeNum)
+            found.modes.append(reader.flightmode)
         if kind == "MSG":
             found.texts.append(message.Message.strip())
     found.modes = changes(found.modes)
@@ -122,9 +121,8 @@ def agrees(path: Path) -> Run:
             known = ~np.isnan(place[:2])
             assert ours[0, 1:3][known].tolist() == pytest.approx(list(np.array(place[:2])[known]), abs=1e-9)
             assert ours[0, 3] == pytest.approx(place[2], abs=0.05)
-    beats = [what for _, what in one.facts.rare if isinstance(what, Heartbeat)]
-    modes = changes([mode_name(beat) if is_px4 else beat.custom_mode for beat in beats])
-    assert modes == other.modes
+    (figures,) = describe(run)["aircraft"]
+    assert [row["mode"] for row in figures["flight"]["modes"]] == other.modes
     texts = Counter(what.text for _, what in one.facts.rare if isinstance(what, VehicleText))
     # For a DataFlash log, the texts about events and errors are made by our reader only.
     assert not Counter(map(plain, other.texts)) - texts
