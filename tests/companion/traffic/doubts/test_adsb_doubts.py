@@ -42,6 +42,25 @@ def test_a_velocity_that_is_right_again_is_taken_within_seconds():
             assert sky.only(10.0 + second).velocity_ned_mps == (-40.0, 0.0, 0.0)
 
 
+def test_a_helicopter_that_lands_with_such_a_velocity_stands():
+    """From then on its reports are all the same, as if they were repeated."""
+    sky = Sky()
+    for second in range(60):
+        sky.take(10.0 + second, report(3000.0 - 40.0 * min(second, 30), velocity_ned_mps=(0.0, 0.0, 0.0)))
+    assert sky.only(69.0).velocity_ned_mps == (0.0, 0.0, 0.0)
+    assert sky.only(69.0).age_s == STAMP_S
+
+
+def test_two_forged_places_do_not_make_a_helicopter_fly_that_stands():
+    sky, still = Sky(), (0.0, 0.0, 0.0)
+    for second in range(40):
+        sky.take(10.0 + second, report(400.0, velocity_ned_mps=still))
+        if second in (3, 6):
+            sky.take(10.0 + 1.02 * second, report(400.0 + 31.7 * second, velocity_ned_mps=still))
+        if second > 14:
+            assert sky.only(10.0 + second).velocity_ned_mps == still
+
+
 def test_the_noise_of_positions_corrects_no_velocity():
     """Three standard deviations to either side, hovering and in flight, ages wrong by up to a second."""
     for speed_mps in (0.0, 60.0):
