@@ -109,6 +109,8 @@ class _Seen:
     """When it was last a threat (our monotonic time)."""
     anchor: _Seen | None
     """Earlier report to derive a velocity from; a second or more before this one if there is one."""
+    spoken: _Seen | None
+    """The last report with a velocity, if this one has none."""
     height: _Height | None
     """The last known height."""
     doubted_until_s: float
@@ -206,6 +208,7 @@ class AdsbTraffic:
             reports=1 if before is None else before.reports + 1,
             threat_s=-math.inf if before is None else before.threat_s,
             anchor=before,
+            spoken=None,
             height=height if before is None else height or before.height,
             doubted_until_s=before.doubted_until_s if before is not None else doubted_until_s,
             level=Drift(_NOISE_M, SIGMA_MPS) if before is None else before.level,
@@ -216,13 +219,18 @@ class AdsbTraffic:
             anchor = before if before.anchor is None or at_s - before.at_s >= _APART_S else before.anchor
             seen.anchor = anchor
             anchor.anchor = None
-            if event.velocity_ned_mps is None and at_s - anchor.at_s >= _APART_S:
-                seen.velocity = _between(anchor, seen)
-            if before.velocity_sent and seen.velocity_sent:
-                # The noise of velocities from positions would be taken for turns.
-                passed_s = at_s - before.at_s
-                seen.turn_rps = k.turn_rate(before.turn_rps, before.reported, seen.reported, passed_s)
-                _correct(seen, before, passed_s)
+            spoken = before if before.velocity_sent else before.spoken
+            before.spoken = None
+            if event.velocity_ned_mps is None:
+                seen.spoken = spoken
+                if at_s - anchor.at_s >= _APART_S:
+                    seen.velocity = _between(anchor, seen)
+            elif spoken is not None:
+                if before.velocity_sent:
+                    # The noise of velocities from positions would be taken for turns.
+                    passed_s = at_s - before.at_s
+                    seen.turn_rps = k.turn_rate(before.turn_rps, before.reported, seen.reported, passed_s)
+                _correct(seen, spoken)
         self._rank(name, now_s)
         if len(self._seen) > MOST:
             self._make_room(now_s)
@@ -339,8 +347,13 @@ def _jump_m(last: _Height | None, height: _Height | None) -> tuple[float, float]
     return abs(height[1] - last[1]), allowed_m if height[2] == last[2] else allowed_m + _WEATHER_M
 
 
-def _correct(seen: _Seen, before: _Seen, passed_s: float) -> None:
-    """Correct the velocity of a report if the positions contradict the velocities."""
+def _correct(seen: _Seen, before: _Seen) -> None:
+    """Correct the velocity of a report if the positions contradict the velocities.
+
+    Args:
+        before: the last report with a velocity.
+    """
+    passed_s = seen.at_s - before.at_s
     (n, e, d), (bn, be, bd) = seen.position, before.position
     (vn, ve, vd), (wn, we, wd) = seen.reported, before.reported
     seen.level.add((n - bn, e - be), (wn, we), (vn, ve), passed_s)

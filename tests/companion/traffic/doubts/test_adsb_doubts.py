@@ -42,6 +42,16 @@ def test_a_velocity_that_is_right_again_is_taken_within_seconds():
             assert sky.only(10.0 + second).velocity_ned_mps == (-40.0, 0.0, 0.0)
 
 
+@pytest.mark.parametrize("every", [2, 5])
+def test_a_report_without_a_velocity_does_not_interrupt_the_correction(every):
+    sky = Sky()
+    for second in range(60):
+        told = None if second % every == 0 else (0.0, 0.0, 0.0)
+        sky.take(10.0 + second, report(3000.0 - 40.0 * second, velocity_ned_mps=told))
+        if second > 20:
+            assert sky.only(10.0 + second).velocity_ned_mps == pytest.approx((-40.0, 0.0, 0.0), abs=0.1)
+
+
 def test_a_helicopter_that_lands_with_such_a_velocity_stands():
     """From then on its reports are all the same, as if they were repeated."""
     sky = Sky()
