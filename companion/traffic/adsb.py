@@ -360,9 +360,11 @@ def _correct(seen: _Seen, before: _Seen) -> None:
     alike = seen.vertical_known and before.vertical_known and seen.barometric == before.barometric
     if alike:
         seen.upright.add((d - bd, 0.0), (wd, 0.0), (vd, 0.0), passed_s)
+    if seen.level.found:
+        seen.turn_rps = 0.0
     if seen.level.found or seen.upright.found:
         (x, y), z = seen.level.error_mps, seen.upright.error_mps[0]
-        seen.velocity, seen.turn_rps = (vn + x, ve + y, vd + z), 0.0
+        seen.velocity = vn + x, ve + y, vd + z
 
 
 def _neighbour(name: str, seen: _Seen, now_s: float, position: Vec3, known: bool) -> Neighbour:

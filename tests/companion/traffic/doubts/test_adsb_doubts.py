@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from companion.avoidance.kernels.crewed import HORIZON_S
@@ -31,6 +33,19 @@ def test_a_velocity_that_positions_contradict_is_corrected(told):
     for second in range(30):
         sky.take(10.0 + second, report(3000.0 - 40.0 * second, velocity_ned_mps=told))
     assert sky.only(39.0).velocity_ned_mps == pytest.approx((-40.0, 0.0, 0.0), abs=0.1)
+
+
+def test_a_wrong_vertical_speed_leaves_the_turn_as_it_is():
+    """It circles and descends, and reports no vertical speed."""
+    sky, turn_rps = Sky(), 0.1
+    for second in range(40):
+        course = turn_rps * second
+        place = 2000.0 + 400.0 * math.sin(course), -400.0 * math.cos(course), -1000.0 + 18.0 * second
+        told = 40.0 * math.cos(course), 40.0 * math.sin(course), 0.0
+        sky.take(10.0 + second, report(*place, velocity_ned_mps=told))
+    found = sky.only(49.0)
+    assert found.velocity_ned_mps == pytest.approx((*told[:2], 18.0), abs=0.1)
+    assert found.turn_rps == pytest.approx(turn_rps, abs=0.001)
 
 
 def test_a_velocity_that_is_right_again_is_taken_within_seconds():
