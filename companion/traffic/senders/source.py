@@ -77,6 +77,8 @@ class Source:
         last, passed_s, stamp_s = self.last, now_s - self.last_s, fix.stamp_s
         if stamp_s is None:
             return
+        if stamp_s + self.slow_s > now_s + _AHEAD_S:
+            self.slow_s = 0.0  # the clock was set right while the aircraft hovered, or was not heard
         if last is not None and last.stamp_s is not None and passed_s <= _STEP_WITHIN_S:
             own_s, stepped_s = stamp_s - last.stamp_s, last.stamp_s + passed_s - stamp_s
             noise_m = 2.0 + 2.0 * math.hypot(last.sigma_m, fix.sigma_m)
