@@ -10,7 +10,7 @@ import math
 from collections import OrderedDict, deque
 from dataclasses import dataclass, field
 
-from companion.remote_id.messages import Message
+from companion.remote_id.messages import Location, Message
 from companion.traffic.fix import Fix
 from companion.traffic.latest_messages import LatestMessages
 from companion.traffic.senders.reception import Reception
@@ -59,6 +59,8 @@ class Source:
     reception: Reception = field(default_factory=Reception)
     tracks: int = 0
     """Number of tracks that it feeds."""
+    placed: Location | None = None
+    """Its last Location with a position."""
     last: Fix | None = None
     """Its last Location with a timestamp, as redated."""
     last_s: float = -math.inf
