@@ -71,18 +71,19 @@ _OFF_M, _TURNS_MPS2, _FASTEST_MPS = 300.0, 20.0, 600.0
 and of the age, plus what the aircraft may have turned and accelerated since (`_TURNS_MPS2`), up to
 `_FASTEST_MPS`."""
 _APART_S = 1.0
-_STEP_M, _CLIMB_MPS, _WEATHER_M = 50.0, 51.0, BAROMETRIC_M
-"""How far an altitude may be from the last one: `_STEP_M`, and `_CLIMB_MPS` for the time between them, and
-`_WEATHER_M` if one is geometric and the other barometric. TCAS II (version 7.1) takes no aircraft for a
-threat whose altitudes change faster than 10,000 ft/min, which is 51 m/s. `_STEP_M` allows for altitudes in
-steps of 100 ft, and for an age that is wrong by a second while the aircraft climbs at 20 m/s."""
+_STEP_M, _CLIMB_MPS = 50.0, 51.0
+"""How far an altitude may be from the last one: `_STEP_M`, and `_CLIMB_MPS` for the time between them. TCAS
+II (version 7.1) takes no aircraft for a threat whose altitudes change faster than 10,000 ft/min, which is
+51 m/s. `_STEP_M` allows for altitudes in steps of 100 ft, and for an age that is wrong by a second while the
+aircraft climbs at 20 m/s. A change from geometric to barometric altitudes is given no more room: a forged one
+would otherwise hide an aircraft whenever it follows a true one."""
 DOUBTED_S = 60.0
 """A height counts as unknown for this long after such a change, as far as the law looks ahead
 (`kernels.crewed.HORIZON_S`)."""
 _NOISE_M = 3.0 * math.sqrt(2.0) * SIGMA_M
 _STILL: Vec3 = (0.0, 0.0, 0.0)
-_Height = tuple[float, float, bool]
-"""Time of a report with a known height, that height (NED down, m), and whether it is barometric."""
+_Height = tuple[float, float]
+"""Time of a report with a known height, and that height (NED down, m)."""
 _NOT_CREWED = frozenset({14, 17, 18, 19})
 """ADSB_EMITTER_TYPE of UAV, surface vehicles and point obstacles: the separation from drones suffices."""
 
@@ -181,8 +182,7 @@ class AdsbTraffic:
         if math.hypot(position[0] - own[0], position[1] - own[1]) > _MAX_RANGE_M:
             return
         told = (event.lat_deg, event.lon_deg, event.alt_m, event.velocity_ned_mps)
-        barometric = not event.alt_geometric
-        height = None if alt_msl_m is None else (at_s, position[2], barometric)
+        height = None if alt_msl_m is None else (at_s, position[2])
         name, jumped = self._name(event.icao, position, height, told, at_s)
         before = self._seen.get(name)
         # ArduPilot repeats the last report for seconds, always with its first age. Reports of an aircraft
@@ -201,7 +201,7 @@ class AdsbTraffic:
             at_s=at_s,
             alt_m=event.alt_m or 0.0,
             vertical_known=height is not None,
-            barometric=barometric,
+            barometric=not event.alt_geometric,
             crewed=event.emitter not in _NOT_CREWED,
             told=told,
             turn_rps=0.0,
@@ -343,8 +343,7 @@ def _jump_m(last: _Height | None, height: _Height | None) -> tuple[float, float]
     """Difference of a reported height from the last known one, and the largest that is possible (m)."""
     if last is None or height is None:
         return 0.0, 0.0
-    allowed_m = _STEP_M + _CLIMB_MPS * abs(height[0] - last[0])
-    return abs(height[1] - last[1]), allowed_m if height[2] == last[2] else allowed_m + _WEATHER_M
+    return abs(height[1] - last[1]), _STEP_M + _CLIMB_MPS * abs(height[0] - last[0])
 
 
 def _correct(seen: _Seen, before: _Seen) -> None:

@@ -8,7 +8,8 @@ import pytest
 
 from companion.avoidance.kernels.crewed import HORIZON_S
 from companion.traffic.adsb import DOUBTED_S
-from tests.companion.traffic.sky import STAMP_S, Sky, report
+from tests.companion.traffic.sky import OWN_DOWN_M, STAMP_S, Sky, report
+from tests.support.place import HOME
 
 # ------------------------------------------------------------ velocities
 
@@ -148,9 +149,22 @@ def test_climbs_and_steps_of_a_hundred_feet_are_no_jumps(climb_mps):
     assert known(*downs_m) == [{"4B1234": True}] * 40
 
 
-@pytest.mark.parametrize(("off_m", "one"), [(300.0, True), (-300.0, True), (500.0, False)])
-def test_another_kind_of_altitude_may_be_off_by_the_weather(off_m, one):
+@pytest.mark.parametrize(("off_m", "one"), [(40.0, True), (-40.0, True), (300.0, False), (-300.0, False)])
+def test_another_kind_of_altitude_may_be_off_no_more_than_the_same_kind(off_m, one):
     sky = Sky()
     sky.take(10.0, report(down_m=-1500.0))
-    sky.take(11.0, report(down_m=-1500.0 + off_m, geometric=False))
-    assert (len(sky.at(11.0)) == 1) is one
+    sky.take(10.2, report(down_m=-1500.0 + off_m, geometric=False))
+    assert (len(sky.at(10.2)) == 1) is one
+
+
+@pytest.mark.parametrize("pressure_known", [True, False])
+def test_a_forged_altitude_of_another_kind_hides_no_aircraft(pressure_known):
+    """Just after each true one, as far above it as the weather could explain."""
+    sky = Sky()
+    sky.own_pressure_alt_m = HOME.alt_m - OWN_DOWN_M if pressure_known else None
+    for second in range(80):
+        sky.take(10.0 + second, report(3000.0 - 40.0 * second, velocity_ned_mps=(-40.0, 0.0, 0.0)))
+        place = 2992.0 - 40.0 * second, 0.0, OWN_DOWN_M - 340.0
+        sky.take(10.2 + second, report(*place, geometric=False, velocity_ned_mps=(-40.0, 0.0, 0.0)))
+        true = {n.track_id: n for n in sky.at(10.4 + second)}["4B1234"]
+        assert (true.position_ned_m[2], true.vertical_known) == (pytest.approx(OWN_DOWN_M), True)
