@@ -71,18 +71,19 @@ _OFF_M, _TURNS_MPS2, _FASTEST_MPS = 300.0, 20.0, 600.0
 and of the age, plus what the aircraft may have turned and accelerated since (`_TURNS_MPS2`), up to
 `_FASTEST_MPS`."""
 _APART_S = 1.0
-_STEP_M, _CLIMB_MPS, _WEATHER_M = 50.0, 51.0, BAROMETRIC_M
-"""How far an altitude may be from the last one: `_STEP_M`, and `_CLIMB_MPS` for the time between them, and
-`_WEATHER_M` if one is geometric and the other barometric. TCAS II (version 7.1) takes no aircraft for a
-threat whose altitudes change faster than 10,000 ft/min, which is 51 m/s. `_STEP_M` allows for altitudes in
-steps of 100 ft, and for an age that is wrong by a second while the aircraft climbs at 20 m/s."""
+_STEP_M, _CLIMB_MPS = 50.0, 51.0
+"""How far an altitude may be from the last one: `_STEP_M`, and `_CLIMB_MPS` for the time between them. TCAS
+II (version 7.1) takes no aircraft for a threat whose altitudes change faster than 10,000 ft/min, which is
+51 m/s. `_STEP_M` allows for altitudes in steps of 100 ft, and for an age that is wrong by a second while the
+aircraft climbs at 20 m/s. A change from geometric to barometric altitudes is given no more room: a forged one
+would otherwise hide an aircraft whenever it follows a true one."""
 DOUBTED_S = 60.0
 """A height counts as unknown for this long after such a change, as far as the law looks ahead
 (`kernels.crewed.HORIZON_S`)."""
 _NOISE_M = 3.0 * math.sqrt(2.0) * SIGMA_M
 _STILL: Vec3 = (0.0, 0.0, 0.0)
-_Height = tuple[float, float, bool]
-"""Time of a report with a known height, that height (NED down, m), and whether it is barometric."""
+_Height = tuple[float, float]
+"""Time of a report with a known height, and that height (NED down, m)."""
 _NOT_CREWED = frozenset({14, 17, 18, 19})
 """ADSB_EMITTER_TYPE of UAV, surface vehicles and point obstacles: the separation from drones suffices."""
 
@@ -109,6 +110,8 @@ class _Seen:
     """When it was last a threat (our monotonic time)."""
     anchor: _Seen | None
     """Earlier report to derive a velocity from; a second or more before this one if there is one."""
+    spoken: _Seen | None
+    """The last report with a velocity, if this one has none."""
     height: _Height | None
     """The last known height."""
     doubted_until_s: float
@@ -179,8 +182,7 @@ class AdsbTraffic:
         if math.hypot(position[0] - own[0], position[1] - own[1]) > _MAX_RANGE_M:
             return
         told = (event.lat_deg, event.lon_deg, event.alt_m, event.velocity_ned_mps)
-        barometric = not event.alt_geometric
-        height = None if alt_msl_m is None else (at_s, position[2], barometric)
+        height = None if alt_msl_m is None else (at_s, position[2])
         name, jumped = self._name(event.icao, position, height, told, at_s)
         before = self._seen.get(name)
         # ArduPilot repeats the last report for seconds, always with its first age. Reports of an aircraft
@@ -199,13 +201,14 @@ class AdsbTraffic:
             at_s=at_s,
             alt_m=event.alt_m or 0.0,
             vertical_known=height is not None,
-            barometric=barometric,
+            barometric=not event.alt_geometric,
             crewed=event.emitter not in _NOT_CREWED,
             told=told,
             turn_rps=0.0,
             reports=1 if before is None else before.reports + 1,
             threat_s=-math.inf if before is None else before.threat_s,
             anchor=before,
+            spoken=None,
             height=height if before is None else height or before.height,
             doubted_until_s=before.doubted_until_s if before is not None else doubted_until_s,
             level=Drift(_NOISE_M, SIGMA_MPS) if before is None else before.level,
@@ -216,13 +219,18 @@ class AdsbTraffic:
             anchor = before if before.anchor is None or at_s - before.at_s >= _APART_S else before.anchor
             seen.anchor = anchor
             anchor.anchor = None
-            if event.velocity_ned_mps is None and at_s - anchor.at_s >= _APART_S:
-                seen.velocity = _between(anchor, seen)
-            if before.velocity_sent and seen.velocity_sent:
-                # The noise of velocities from positions would be taken for turns.
-                passed_s = at_s - before.at_s
-                seen.turn_rps = k.turn_rate(before.turn_rps, before.reported, seen.reported, passed_s)
-                _correct(seen, before, passed_s)
+            spoken = before if before.velocity_sent else before.spoken
+            before.spoken = None
+            if event.velocity_ned_mps is None:
+                seen.spoken = spoken
+                if at_s - anchor.at_s >= _APART_S:
+                    seen.velocity = _between(anchor, seen)
+            elif spoken is not None:
+                if before.velocity_sent:
+                    # The noise of velocities from positions would be taken for turns.
+                    passed_s = at_s - before.at_s
+                    seen.turn_rps = k.turn_rate(before.turn_rps, before.reported, seen.reported, passed_s)
+                _correct(seen, spoken)
         self._rank(name, now_s)
         if len(self._seen) > MOST:
             self._make_room(now_s)
@@ -335,21 +343,27 @@ def _jump_m(last: _Height | None, height: _Height | None) -> tuple[float, float]
     """Difference of a reported height from the last known one, and the largest that is possible (m)."""
     if last is None or height is None:
         return 0.0, 0.0
-    allowed_m = _STEP_M + _CLIMB_MPS * abs(height[0] - last[0])
-    return abs(height[1] - last[1]), allowed_m if height[2] == last[2] else allowed_m + _WEATHER_M
+    return abs(height[1] - last[1]), _STEP_M + _CLIMB_MPS * abs(height[0] - last[0])
 
 
-def _correct(seen: _Seen, before: _Seen, passed_s: float) -> None:
-    """Correct the velocity of a report if the positions contradict the velocities."""
+def _correct(seen: _Seen, before: _Seen) -> None:
+    """Correct the velocity of a report if the positions contradict the velocities.
+
+    Args:
+        before: the last report with a velocity.
+    """
+    passed_s = seen.at_s - before.at_s
     (n, e, d), (bn, be, bd) = seen.position, before.position
     (vn, ve, vd), (wn, we, wd) = seen.reported, before.reported
     seen.level.add((n - bn, e - be), (wn, we), (vn, ve), passed_s)
     alike = seen.vertical_known and before.vertical_known and seen.barometric == before.barometric
     if alike:
         seen.upright.add((d - bd, 0.0), (wd, 0.0), (vd, 0.0), passed_s)
+    if seen.level.found:
+        seen.turn_rps = 0.0
     if seen.level.found or seen.upright.found:
         (x, y), z = seen.level.error_mps, seen.upright.error_mps[0]
-        seen.velocity, seen.turn_rps = (vn + x, ve + y, vd + z), 0.0
+        seen.velocity = vn + x, ve + y, vd + z
 
 
 def _neighbour(name: str, seen: _Seen, now_s: float, position: Vec3, known: bool) -> Neighbour:

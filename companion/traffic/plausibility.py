@@ -313,8 +313,13 @@ class Drift:
             moved_m: change of the position since the last one.
             before_mps, now_mps: velocities of both.
         """
+        x_m = moved_m[0] - 0.5 * passed_s * (before_mps[0] + now_mps[0])
+        y_m = moved_m[1] - 0.5 * passed_s * (before_mps[1] + now_mps[1])
         if passed_s > _GAP_S:
+            # It shows no error, but may show that there is none any more.
             self._begin()
+            if self._ends(x_m, y_m, passed_s):
+                self.error_mps = self.suspected_mps = (0.0, 0.0)
             return
         if math.dist(before_mps, now_mps) > _TURN_MPS + _TURN_MPS2 * passed_s:
             # They are from two senders. Neither of them is corrected.
@@ -322,15 +327,15 @@ class Drift:
             self.error_mps = self.suspected_mps = (0.0, 0.0)
             return
         self.span_s += passed_s
-        self.x_m += moved_m[0] - 0.5 * passed_s * (before_mps[0] + now_mps[0])
-        self.y_m += moved_m[1] - 0.5 * passed_s * (before_mps[1] + now_mps[1])
+        self.x_m += x_m
+        self.y_m += y_m
         self.slack_m += passed_s * (0.25 * _MANOEUVRE_MPS2 * passed_s + 2.0 * self.noise_mps)
         if self.span_s >= _LEAST_SPAN_S:
             self._look(max(math.hypot(*before_mps), math.hypot(*now_mps)))
 
     def _look(self, speed_mps: float) -> None:
-        off_m, (x, y) = math.hypot(self.x_m, self.y_m), self.error_mps
-        if self.found and off_m <= math.hypot(self.x_m - self.span_s * x, self.y_m - self.span_s * y):
+        off_m = math.hypot(self.x_m, self.y_m)
+        if self._ends(self.x_m, self.y_m, self.span_s):
             self.error_mps = self.suspected_mps = (0.0, 0.0)
         elif off_m > self.noise_m + self.slack_m + _AGES_S * speed_mps:
             error = self.x_m / self.span_s, self.y_m / self.span_s
@@ -342,6 +347,11 @@ class Drift:
         else:
             return
         self._begin()
+
+    def _ends(self, x_m: float, y_m: float, span_s: float) -> bool:
+        """Whether the positions fit the reported velocities better than the corrected ones."""
+        x, y = self.error_mps
+        return self.found and math.hypot(x_m, y_m) <= math.hypot(x_m - span_s * x, y_m - span_s * y)
 
     def _begin(self) -> None:
         self.span_s = self.x_m = self.y_m = self.slack_m = 0.0

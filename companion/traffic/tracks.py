@@ -182,6 +182,7 @@ class Traffic:
             if fix.velocity is not None and math.hypot(*fix.velocity) > self.config.max_speed_mps:
                 fix.velocity, fix.too_fast = None, True
                 self.counts.implausible += 1
+            source.placed = message
             source.redate(fix, now_s)
             self.counts.clock += fix.stamp_s is None
             source.fed.clear()
@@ -406,7 +407,7 @@ def _located_by(track: Track, source: Source) -> bool:
     latest = track.latest
     if (latest.transport, latest.address) == (source.latest.transport, source.latest.address):
         return True
-    return source.last is not None and same(source.last.content, track.content)
+    return source.placed is not None and same(source.placed, track.content)
 
 
 def _new_track(identity: str, newcomer: Newcomer, source: Source, fix: Fix, now_s: float) -> Track:

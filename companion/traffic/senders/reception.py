@@ -30,8 +30,9 @@ _SHORTEST_SPAN_S = 0.5
 _REPEATED = 0.15
 """A sender of which more frames than this share of its news repeat their content sends each content several
 times. Gaps in its counter then hide losses."""
-_SAME_FRAME_S = 0.05
-"""A repetition within this time is the same frame, received on another channel or by another receiver."""
+_SAME_FRAME_S = 0.075
+"""A repetition within this time is the same frame, received on another channel or by another receiver. Frames
+count as received at the next step, and steps are 0.05 s apart."""
 
 
 @dataclass(slots=True)

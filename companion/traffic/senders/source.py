@@ -10,7 +10,7 @@ import math
 from collections import OrderedDict, deque
 from dataclasses import dataclass, field
 
-from companion.remote_id.messages import Message
+from companion.remote_id.messages import Location, Message
 from companion.traffic.fix import Fix
 from companion.traffic.latest_messages import LatestMessages
 from companion.traffic.senders.reception import Reception
@@ -59,6 +59,8 @@ class Source:
     reception: Reception = field(default_factory=Reception)
     tracks: int = 0
     """Number of tracks that it feeds."""
+    placed: Location | None = None
+    """Its last Location with a position."""
     last: Fix | None = None
     """Its last Location with a timestamp, as redated."""
     last_s: float = -math.inf
@@ -77,6 +79,8 @@ class Source:
         last, passed_s, stamp_s = self.last, now_s - self.last_s, fix.stamp_s
         if stamp_s is None:
             return
+        if stamp_s + self.slow_s > now_s + _AHEAD_S:
+            self.slow_s = 0.0  # the clock was set right while the aircraft hovered, or was not heard
         if last is not None and last.stamp_s is not None and passed_s <= _STEP_WITHIN_S:
             stepped_s = last.stamp_s + passed_s - stamp_s
             if self.slow_s or stepped_s >= _STEP_S:

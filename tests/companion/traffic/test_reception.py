@@ -72,6 +72,14 @@ def test_a_frame_that_is_received_twice_at_once_is_no_repetition():
     assert reception.arrivals(99.0)[1] > 5.0
 
 
+def test_a_frame_that_a_second_receiver_passes_on_a_step_later_is_no_repetition():
+    reception = Reception()
+    for k in range(100):
+        reception.count_frame(k & 0xFF, 0.2 * k)
+        reception.count_frame(k & 0xFF, 0.2 * k + 0.051)
+    assert reception.arrivals(20.0)[1] > 5.0
+
+
 def test_a_changed_rate_is_seen_within_seconds():
     reception = stream(10, 0.5, 30.0)
     assert reception.rate(30.0) == 10

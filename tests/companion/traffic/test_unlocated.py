@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import pytest
+
 from companion.remote_id.messages import Location
-from tests.companion.traffic.listening import Listener, basic, location
+from tests.companion.traffic.listening import UTC_OFFSET_S, Listener, basic, location
 
 LOST = Location(timestamp_s=20.0)
 
@@ -52,11 +54,14 @@ def test_if_both_have_lost_their_position_the_aircraft_may_have_stopped():
     assert told == [{"X": True}] * len(told)
 
 
-def test_every_transport_of_one_transmitter_tells_that_its_position_is_lost():
-    """Its frames on Wi-Fi are lost; those on Bluetooth had the same positions."""
-    listener = Listener()
+@pytest.mark.parametrize("lead_s", [0.0, 1.0, None])
+def test_every_transport_of_one_transmitter_tells_that_its_position_is_lost(lead_s):
+    """Its frames on Wi-Fi are lost; those on Bluetooth had the same positions. Its clock may lead, or be of
+    no use because our own UTC is unknown."""
+    listener = Listener(None if lead_s is None else UTC_OFFSET_S)
     for second in range(5):
+        told = location(east_m=5.0 * second, timestamp_s=10.0 + second + (lead_s or 0.0))
         for transport in ("wifi", "ble5"):
-            listener.hear(10.2 + second, basic("X"), at(second), transport=transport)
+            listener.hear(10.2 + second, basic("X"), told, transport=transport)
     listener.hear(15.2, basic("X"), LOST, transport="ble5")
     assert silent(listener, 15.3) == {"X": True}

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from companion.avoidance.kernels.crewed import HORIZON_S
 from companion.traffic.adsb import DOUBTED_S
-from tests.companion.traffic.sky import STAMP_S, Sky, report
+from tests.companion.traffic.sky import OWN_DOWN_M, STAMP_S, Sky, report
+from tests.support.place import HOME
 
 # ------------------------------------------------------------ velocities
 
@@ -33,6 +36,19 @@ def test_a_velocity_that_positions_contradict_is_corrected(told):
     assert sky.only(39.0).velocity_ned_mps == pytest.approx((-40.0, 0.0, 0.0), abs=0.1)
 
 
+def test_a_wrong_vertical_speed_leaves_the_turn_as_it_is():
+    """It circles and descends, and reports no vertical speed."""
+    sky, turn_rps = Sky(), 0.1
+    for second in range(40):
+        course = turn_rps * second
+        place = 2000.0 + 400.0 * math.sin(course), -400.0 * math.cos(course), -1000.0 + 18.0 * second
+        told = 40.0 * math.cos(course), 40.0 * math.sin(course), 0.0
+        sky.take(10.0 + second, report(*place, velocity_ned_mps=told))
+    found = sky.only(49.0)
+    assert found.velocity_ned_mps == pytest.approx((*told[:2], 18.0), abs=0.1)
+    assert found.turn_rps == pytest.approx(turn_rps, abs=0.001)
+
+
 def test_a_velocity_that_is_right_again_is_taken_within_seconds():
     sky = Sky()
     for second in range(40):
@@ -40,6 +56,35 @@ def test_a_velocity_that_is_right_again_is_taken_within_seconds():
         sky.take(10.0 + second, report(3000.0 - 40.0 * second, velocity_ned_mps=told))
         if second >= 28:
             assert sky.only(10.0 + second).velocity_ned_mps == (-40.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("every", [2, 5])
+def test_a_report_without_a_velocity_does_not_interrupt_the_correction(every):
+    sky = Sky()
+    for second in range(60):
+        told = None if second % every == 0 else (0.0, 0.0, 0.0)
+        sky.take(10.0 + second, report(3000.0 - 40.0 * second, velocity_ned_mps=told))
+        if second > 20:
+            assert sky.only(10.0 + second).velocity_ned_mps == pytest.approx((-40.0, 0.0, 0.0), abs=0.1)
+
+
+def test_a_helicopter_that_lands_with_such_a_velocity_stands():
+    """From then on its reports are all the same, as if they were repeated."""
+    sky = Sky()
+    for second in range(60):
+        sky.take(10.0 + second, report(3000.0 - 40.0 * min(second, 30), velocity_ned_mps=(0.0, 0.0, 0.0)))
+    assert sky.only(69.0).velocity_ned_mps == (0.0, 0.0, 0.0)
+    assert sky.only(69.0).age_s == STAMP_S
+
+
+def test_two_forged_places_do_not_make_a_helicopter_fly_that_stands():
+    sky, still = Sky(), (0.0, 0.0, 0.0)
+    for second in range(40):
+        sky.take(10.0 + second, report(400.0, velocity_ned_mps=still))
+        if second in (3, 6):
+            sky.take(10.0 + 1.02 * second, report(400.0 + 31.7 * second, velocity_ned_mps=still))
+        if second > 14:
+            assert sky.only(10.0 + second).velocity_ned_mps == still
 
 
 def test_the_noise_of_positions_corrects_no_velocity():
@@ -104,9 +149,22 @@ def test_climbs_and_steps_of_a_hundred_feet_are_no_jumps(climb_mps):
     assert known(*downs_m) == [{"4B1234": True}] * 40
 
 
-@pytest.mark.parametrize(("off_m", "one"), [(300.0, True), (-300.0, True), (500.0, False)])
-def test_another_kind_of_altitude_may_be_off_by_the_weather(off_m, one):
+@pytest.mark.parametrize(("off_m", "one"), [(40.0, True), (-40.0, True), (300.0, False), (-300.0, False)])
+def test_another_kind_of_altitude_may_be_off_no_more_than_the_same_kind(off_m, one):
     sky = Sky()
     sky.take(10.0, report(down_m=-1500.0))
-    sky.take(11.0, report(down_m=-1500.0 + off_m, geometric=False))
-    assert (len(sky.at(11.0)) == 1) is one
+    sky.take(10.2, report(down_m=-1500.0 + off_m, geometric=False))
+    assert (len(sky.at(10.2)) == 1) is one
+
+
+@pytest.mark.parametrize("pressure_known", [True, False])
+def test_a_forged_altitude_of_another_kind_hides_no_aircraft(pressure_known):
+    """Just after each true one, as far above it as the weather could explain."""
+    sky = Sky()
+    sky.own_pressure_alt_m = HOME.alt_m - OWN_DOWN_M if pressure_known else None
+    for second in range(80):
+        sky.take(10.0 + second, report(3000.0 - 40.0 * second, velocity_ned_mps=(-40.0, 0.0, 0.0)))
+        place = 2992.0 - 40.0 * second, 0.0, OWN_DOWN_M - 340.0
+        sky.take(10.2 + second, report(*place, geometric=False, velocity_ned_mps=(-40.0, 0.0, 0.0)))
+        true = {n.track_id: n for n in sky.at(10.4 + second)}["4B1234"]
+        assert (true.position_ned_m[2], true.vertical_known) == (pytest.approx(OWN_DOWN_M), True)

@@ -64,6 +64,21 @@ def test_the_correction_lasts_while_it_hovers_and_ends_when_the_clock_is_right()
             assert flight.places() == {"X": pytest.approx(0.0, abs=1.0)}, second
 
 
+@pytest.mark.parametrize("hovers", [True, False])
+def test_a_clock_that_is_set_right_unnoticed_can_step_again(hovers):
+    """It is set right while the aircraft hovers, or is not heard for ten seconds."""
+    flight = Flight()
+    for second in range(80):
+        if hovers:
+            flight.speed_mps = min(15.0, max(0.0, 3.0 * abs(second - 30) - 15.0))
+        flight.send(
+            -3.0 if 10 <= second < 32 else -4.0 if second >= 60 else 0.0,
+            lost=not hovers and 25 <= second < 35,
+        )
+        if not 15 <= second < 45:
+            assert flight.places() == {"X": pytest.approx(0.0, abs=0.5)}, second
+
+
 def test_a_message_that_arrives_late_is_no_step():
     """Its position is that of its timestamp."""
     flight = Flight()
