@@ -85,9 +85,8 @@ class Policy:
         current: int | None,
         agent: int = 0,
     ) -> Choice | Refused:
-        """See `Mind`. Neighbours farther away than any in training are ignored. Of more neighbours than in
-        training the nearest decide. Refuses observations outside the range of training, and network outputs
-        that are not finite."""
+        """See `Mind`. Neighbours farther away than any in training are ignored. Refuses observations outside
+        the range of training, and network outputs that are not finite."""
         if not allowed.any():
             return Refused(Why.NOTHING_ALLOWED, "none of the policy's actions is legal and can be sent")
         own, rows = self._selected(own_row, neighbour_rows)
@@ -98,15 +97,11 @@ class Policy:
             # A neighbour farther away than any in training is irrelevant and must not cause a refusal.
             rows = rows[~(rows[:, self._distance] > self._high[self._distance])]
         most = self.metadata.neighbours
-        nearest = self.metadata.kind == "set" and self._distance is not None
-        count = len(rows) if self.metadata.kind == "set" else len(neighbour_rows)
-        if count > most and not nearest:
+        count = len(neighbour_rows) if self.metadata.kind == "flat" else len(rows)
+        if count > most:
             return Refused(Why.TOO_MANY, f"{count} neighbours, trained with up to {most}")
         if not ((rows >= self._low) & (rows <= self._high)).all():
             return self._outside(rows, self._low, self._high, self.metadata.neighbour_columns)
-        if count > most:
-            # The fixed set, the answer to a refusal, would send most just where the channel is fullest.
-            rows = rows[np.sort(np.argsort(rows[:, self._distance], kind="stable")[:most])]
         q = self._values(own, rows, agent)
         if not np.isfinite(q).all():
             return Refused(Why.NO_NUMBER, "the network's answer is not a finite number")

@@ -234,22 +234,11 @@ class ByPolicy:
         inside = (own >= np.array(bounds.own_low, np.float32) - np.float32(SLACK)) & (
             own <= np.array(bounds.own_high, np.float32) + np.float32(SLACK)
         )
-        refused = ~inside.all(axis=1) | (np.bincount(owner, bad, minlength=len(count)) > 0)
-        if (count > self._metadata.neighbours).any():
-            few = _nearest(owner, rows[:, distance], self._metadata.neighbours)
-            rows, owner, count = rows[few], owner[few], np.minimum(count, self._metadata.neighbours)
+        refused = (count > self._metadata.neighbours) | ~inside.all(axis=1)
+        refused |= np.bincount(owner, bad, minlength=len(count)) > 0
         keep = ~refused[owner]
         values = set_values(self._tensors, own, rows[keep], np.where(refused, 0, count))
         return values, refused | ~np.isfinite(values).all(axis=1)
-
-
-def _nearest(owner: Integers, distance: Float32s, most: int) -> Bools:
-    """Which rows are among the nearest `most` of their owner. Of equally near ones the first count."""
-    order = np.lexsort((distance, owner))
-    first = np.searchsorted(owner[order], owner[order])
-    found = np.zeros(len(owner), bool)
-    found[order[np.arange(len(owner)) - first < most]] = True
-    return found
 
 
 def set_values(tensors: Tensors, own: Float32s, rows: Float32s, count: Integers) -> Float32s:

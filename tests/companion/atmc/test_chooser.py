@@ -216,14 +216,14 @@ def test_outside_of_its_training_it_falls_back_and_returns(bench):
     assert len(said(made)) == 1
 
 
-def test_in_a_crowd_the_policy_decides_by_the_nearest(bench):
-    """A refusal would send the fixed set, which fills the channel most."""
+def test_too_many_neighbours(bench):
     made = bench(policy_file(neighbours=5))
     for _ in range(80):
         for k in range(6):
             hear(made, f"c2:0{k}", 100.0 + 100.0 * k)
         made.step()
-    assert {c.by for c in chosen(made)} == {"policy"}
+    assert chosen(made)[-1].by == "fallback"
+    assert chosen(made)[-1].reason == "6 neighbours, trained with up to 5"
 
 
 def test_an_answer_that_is_no_number(bench, monkeypatch):

@@ -194,23 +194,9 @@ def test_those_who_are_far_do_not_count():
     assert policy.choose(own, rows, ALL, None) == policy.choose(own, rows[:1], ALL, None)
 
 
-def test_of_more_neighbours_than_in_training_the_nearest_decide():
-    policy, _ = made()
-    most = policy.metadata.neighbours
-    own, rows = observation(np.random.default_rng(1), most + 7)
-    rows[:, 0] = np.linspace(0.2, 0.9, most + 7)[::-1]
-    near = policy.choose(own, rows[7:], ALL, None)
-    assert isinstance(near, Choice)
-    assert policy.choose(own, rows, ALL, None) == near
-    assert policy.choose(own, rows[::-1], ALL, None).action == near.action
-    rows[0, 1] = np.nan  # the farthest
-    answer = policy.choose(own, rows, ALL, None)
-    assert isinstance(answer, Refused)
-    assert answer.why is Why.OUTSIDE
-
-
-def test_more_neighbours_than_a_flat_policy_was_trained_with_are_refused():
-    policy, _ = made("flat")
+@pytest.mark.parametrize("kind", ["set", "flat"])
+def test_more_neighbours_than_in_training_are_refused(kind):
+    policy, _ = made(kind)
     most = policy.metadata.neighbours
     allowed = np.ones(len(policy.actions), bool)
     own, rows = observation(np.random.default_rng(1), most + 1)
