@@ -52,6 +52,12 @@ def _campaign(path: Path) -> list[str]:
     return samples.campaign_table(path)
 
 
+def _crewed(path: Path) -> list[str]:
+    from ground_tools.campaign.encounters import table
+
+    return table.sample(path)
+
+
 def _closed_loop(path: Path) -> list[str]:
     from ground_tools.results import samples
 
@@ -90,7 +96,7 @@ def _sweep(path: Path) -> list[str]:
 
 def entries() -> list[Entry]:
     """All kept files, in the order of their names."""
-    found = [*_tables(), *_compared(), *_flown(), *_cities(), *_trained()]
+    found = [*_tables(), *_compared(), _encounters(), *_flown(), *_cities(), *_trained()]
     return sorted(found, key=lambda entry: entry.name)
 
 
@@ -132,6 +138,16 @@ def _compared() -> list[Entry]:
         )
         for name, (command, needs) in commands.items()
     ]
+
+
+def _encounters() -> Entry:
+    return Entry(
+        "results/campaign/encounters.json",
+        "ground-tools campaign encounters --model FILE... --own hover 5 10 --altitude geometric pressure "
+        "--range 2000 --seeds 100001-102000 --file results/campaign/encounters.json",
+        ("ground_tools.campaign.encounters.cells",),
+        _crewed,
+    )
 
 
 def _flown() -> list[Entry]:
