@@ -143,6 +143,22 @@ def test_the_reference_has_every_public_name(reference):
             assert f"::: {module}.{public}\n" in pages[name]
 
 
+def test_the_index_has_every_word_key_name_and_message_in_order(reference, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs" / "site")
+    page = runpy.run_path(str(ROOT / "docs" / "site" / "alphabetical.py"))["page"]()
+    for word in re.findall(r"\*\*(.+?)\*\* \|", (ROOT / "docs" / "glossary.md").read_text()):
+        assert f"- {word.split(', ')[0]}: [glossary]" in page, word
+    for key in re.findall(r"^(?:# )?([a-z_0-9]+) = ", (ROOT / "config" / "companion.toml").read_text(), re.M):
+        assert f"- `{key}`: [configuration" in page, key
+    for name, module in reference["ROOM_PAGES"].items():
+        for public in importlib.import_module(module).__all__:
+            assert f"- `{public}`: [{module}]({name}.md)" in page
+    assert "- GLOBAL_POSITION_INT (33): [messages](messages.md)" in page
+    headings = re.findall(r"^## (.+)$", page, re.MULTILINE)
+    assert headings == sorted(set(headings))
+    assert page.index("- `encode`:") < page.index("- gate: ") < page.index("- track: ")
+
+
 def test_the_reference_has_the_messages(reference):
     page = reference["messages"]()
     assert "| GLOBAL_POSITION_INT (33) | 10/s |" in page

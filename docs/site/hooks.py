@@ -16,6 +16,7 @@ from mkdocs.structure.pages import Page
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+import alphabetical
 import reference
 
 ROOT: Final = Path(__file__).parents[2]
@@ -31,6 +32,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, name, content=_moved((ROOT / source).read_text(), source)))
     files.append(File.generated(config, "reference/configuration.md", content=reference.configuration()))
     files.append(File.generated(config, "reference/messages.md", content=reference.messages()))
+    files.append(File.generated(config, "reference/index-a-z.md", content=alphabetical.page()))
     for name, page in reference.public_names().items():
         files.append(File.generated(config, f"reference/{name}.md", content=page))
     for path in sorted((ROOT / "docs" / "examples" / "notebooks").glob("*.py")):
