@@ -188,19 +188,28 @@ def cases(p: ChannelParameters) -> list[Case]:
 def compare(p: ChannelParameters, effort: Effort) -> Iterator[Row]:
     """Simulate every case, on all cores. Yields the rows in the order of `cases`."""
     asked = cases(p)
-    # Ctrl-C also reaches the workers. It must end them at once and without a message.
     with (
-        ProcessPoolExecutor(
-            os.cpu_count(), initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_DFL)
-        ) as pool,
+        ProcessPoolExecutor(os.cpu_count(), initializer=_end_at_ctrl_c) as pool,
         progress("simulating", len(asked)) as advance,
     ):
         try:
-            for future in [pool.submit(row_of, p, effort, case) for case in asked]:
+            # A Ctrl-C while the pool starts waits: a pool that is interrupted there cannot be shut down.
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            try:
+                futures = [pool.submit(row_of, p, effort, case) for case in asked]
+            finally:  # also if the workers have ended already
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+            for future in futures:
                 yield future.result()
                 advance()
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def _end_at_ctrl_c() -> None:
+    """Let a Ctrl-C, which reaches the workers, too, end a worker at once and without a message."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 def row_of(p: ChannelParameters, effort: Effort, case: Case) -> Row:

@@ -152,8 +152,15 @@ def test_errors_are_reported_before_the_simulation(monkeypatch, capsys, tmp_path
     assert ".[inspect]" in capsys.readouterr().err
 
 
-def test_ctrl_c_ends_it_with_all_its_workers():
+@pytest.mark.parametrize("begun", ["first worker", "all workers"])
+def test_ctrl_c_ends_it_with_all_its_workers(begun):
     """The simulations would take days. A terminal sends the signal to the whole process group."""
+
+    def ready(pid):
+        if begun == "first worker":
+            return bool(children_of(pid))
+        return workers_ready(pid) >= (os.cpu_count() or 1)
+
     words = ["channel", "compare", "--seconds", "86400", "--environments", "10000"]
     code = "import sys; from ground_tools.cli import main; sys.exit(main())"
     with subprocess.Popen(
@@ -163,8 +170,8 @@ def test_ctrl_c_ends_it_with_all_its_workers():
         start_new_session=True,
     ) as process:
         try:
-            while process.poll() is None and workers_ready(process.pid) < (os.cpu_count() or 1):
-                time.sleep(0.1)
+            while process.poll() is None and not ready(process.pid):
+                time.sleep(0.001)
             os.killpg(process.pid, signal.SIGINT)
             out, err = process.communicate(timeout=60)
         finally:
@@ -173,10 +180,13 @@ def test_ctrl_c_ends_it_with_all_its_workers():
     assert (process.returncode, out, err) == (130, b"", b"")
 
 
+def children_of(pid):
+    return Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+
+
 def workers_ready(pid):
     """Number of child processes with the default handler for SIGINT."""
-    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    status = [Path(f"/proc/{child}/status").read_text().split() for child in children]
+    status = [Path(f"/proc/{child}/status").read_text().split() for child in children_of(pid)]
     caught = [int(words[words.index("SigCgt:") + 1], 16) for words in status]
     return sum(not signals >> (signal.SIGINT - 1) & 1 for signals in caught)
 
