@@ -171,7 +171,7 @@ def test_ctrl_c_ends_it_with_all_its_workers(begun):
     ) as process:
         try:
             while process.poll() is None and not ready(process.pid):
-                time.sleep(0.001)
+                time.sleep(0.001)  # the pool starts within milliseconds
             os.killpg(process.pid, signal.SIGINT)
             out, err = process.communicate(timeout=60)
         finally:
