@@ -270,8 +270,8 @@ def run(args: argparse.Namespace) -> int:
         with contextlib.closing(server):
             for name in server.names:
                 print(f"link {name}", flush=True)
-            print("ready", flush=True)
             start_s, turned_s = time.monotonic(), 0.0
+            print("ready", flush=True)
             troubles = TroubleInput(sys.stdin.fileno()) if args.troubles else None
             with _truth(args.truth) as truth:
                 while not ended:
