@@ -12,9 +12,6 @@ import argparse
 import json
 import math
 import os
-import signal
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -31,6 +28,7 @@ from ground_tools.channel.comparison import VARIANTS, Case, Row
 from ground_tools.channel.options import SIDES_M, UAVS
 from ground_tools.common.figure import drawn
 from ground_tools.common.progress import progress
+from ground_tools.common.workers import in_parallel
 from sitl_mocks.channel import parameters
 from sitl_mocks.channel.equations.analytic import Analytic, fixed_mode, system_delay_s
 from sitl_mocks.channel.equations.delay import single_link_s
@@ -110,12 +108,12 @@ def run(arguments: argparse.Namespace) -> int:
     effort = Effort(arguments.seconds, arguments.environments, arguments.seed)
     console = Console(stderr=arguments.json)
     if arguments.out is None:
-        _print(list(compare(p, effort)), console, as_json=arguments.json)
+        _print(compare(p, effort), console, as_json=arguments.json)
         return 0
     options.make_folder(arguments.out)
     # The picture is opened first, so that a missing matplotlib is reported before the simulation.
     with drawn(arguments.out / "compare.png", compare_plot.SIZE_IN) as figure:
-        rows = list(compare(p, effort))
+        rows = compare(p, effort)
         lines = "".join(_json_line(row) + "\n" for row in rows)
         (arguments.out / "compare.jsonl").write_text(lines, encoding="utf-8")
         _print(rows, console, as_json=arguments.json)
@@ -185,31 +183,20 @@ def cases(p: ChannelParameters) -> list[Case]:
     return found
 
 
-def compare(p: ChannelParameters, effort: Effort) -> Iterator[Row]:
-    """Simulate every case, on all cores. Yields the rows in the order of `cases`."""
-    asked = cases(p)
-    with (
-        ProcessPoolExecutor(os.cpu_count(), initializer=_end_at_ctrl_c) as pool,
-        progress("simulating", len(asked)) as advance,
-    ):
-        try:
-            # A Ctrl-C while the pool starts waits: a pool that is interrupted there cannot be shut down.
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-            try:
-                futures = [pool.submit(row_of, p, effort, case) for case in asked]
-            finally:  # also if the workers have ended already
-                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-            for future in futures:
-                yield future.result()
-                advance()
-        finally:
-            pool.shutdown(cancel_futures=True)
+def compare(p: ChannelParameters, effort: Effort) -> list[Row]:
+    """Simulate every case, on all cores. Returns the rows in the order of `cases`."""
+    asked = [(number, p, effort, case) for number, case in enumerate(cases(p))]
+    found: dict[int, Row] = {}
+    with progress("simulating", len(asked)) as advance:
+        # Nothing is kept of an interrupted comparison, so nothing is said about it.
+        for (number, *_), row in in_parallel(_row_of, asked, os.cpu_count() or 1, Console(quiet=True)):
+            found[number] = row
+            advance()
+    return [found[number] for number in range(len(asked))]
 
 
-def _end_at_ctrl_c() -> None:
-    """Let a Ctrl-C, which reaches the workers, too, end a worker at once and without a message."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+def _row_of(item: tuple[int, ChannelParameters, Effort, Case]) -> Row:
+    return row_of(*item[1:])
 
 
 def row_of(p: ChannelParameters, effort: Effort, case: Case) -> Row:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
+import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -44,9 +45,12 @@ def in_parallel(
             raise
         return
     with _pool(min(processes, len(items)), words) as pool:
-        futures = {pool.submit(function, item): item for item in items}
+        with _interrupts_held():
+            futures = {pool.submit(function, item): item for item in items}
         for future in as_completed(futures):
-            yield futures.pop(future), future.result()
+            result = future.result()
+            with _interrupts_held():
+                yield futures.pop(future), result
 
 
 def rounds_in_parallel(
@@ -82,9 +86,11 @@ def rounds_in_parallel(
                     items = next(works[number]) if results is None else works[number].send(results)
                 except StopIteration as end:
                     rounds.pop(number, None)
-                    yield number, end.value
+                    with _interrupts_held():
+                        yield number, end.value
                     continue
-                rounds[number] = [pool.submit(function, item) for item in items]
+                with _interrupts_held():
+                    rounds[number] = [pool.submit(function, item) for item in items]
                 waiting.update(rounds[number])
             if waiting and all(rounds.values()):
                 waiting = wait(waiting, return_when=FIRST_COMPLETED).not_done
@@ -104,6 +110,26 @@ def _alone(function: Callable[[Item], Result], work: Generator[list[Item], list[
     except StopIteration as end:
         outcome: Outcome = end.value
         return outcome
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Let a Ctrl-C wait until the end of the block: while the pool starts, which cannot be shut down then,
+    and while the caller stores a result, where it would escape the pool's own answer to it."""
+    if threading.current_thread() is not threading.main_thread():  # only that one is interrupted
+        yield
+        return
+    pressed: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    # A worker inherits the mask, so that nothing interrupts it before it can ignore a Ctrl-C.
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, before)
+        if pressed:
+            raise KeyboardInterrupt
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import multiprocessing
 import os
 import signal
@@ -70,6 +71,24 @@ def test_an_error_in_one_item_ends_all():
     # join() is not used, because a thread of the pool may already have waited for the processes.
     left = [Path(f"/proc/{child.pid}") for child in multiprocessing.active_children()]
     until(lambda: not any(path.exists() for path in left), "their end", 60.0)
+
+
+def test_ctrl_c_waits_until_a_result_is_stored():
+    """Otherwise it would end the caller's loop and not the pool, and nothing would be said about what is
+    kept."""
+    words, stored = Console(file=io.StringIO()), []
+    before = signal.getsignal(signal.SIGINT)
+
+    def store_all() -> None:
+        for _, result in in_parallel(square, range(50), 2, words):
+            signal.raise_signal(signal.SIGINT)
+            stored.append(result)
+
+    with pytest.raises(KeyboardInterrupt):
+        store_all()
+    assert len(stored) == 1
+    assert "Interrupted. With --out, finished flights are kept" in words.file.getvalue()
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 @pytest.mark.parametrize(("given", "used"), [(None, "1"), ("3", "3")])
