@@ -154,8 +154,8 @@ def test_flies_through_noise_and_a_cable_that_is_pulled_and_plugged_again(start,
     companion.must_not_stall = False  # it gives the vehicle back now
     cable.pull()
     companion.wait_for("autopilot:921600: lost: .*; reopening it")
-    # Which of them comes first is a matter of milliseconds, and of a stall of the machine.
-    companion.wait_for("guarding -> fault: (own position older than|.*no command sent for)")
+    # Which of them comes first depends on milliseconds, on heartbeats that the noise spoiled, and on stalls.
+    companion.wait_for("guarding -> fault: (own position older than|no heartbeat from|.*no command sent for)")
     cable.plug()
     companion.wait_for("autopilot:921600: restored")
     companion.wait_for("fault -> standby: own state usable again")
