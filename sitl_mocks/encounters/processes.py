@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import re
@@ -17,6 +18,8 @@ from companion.errors import ConfigError
 from sitl_mocks.examinations.swarm.examination import Examination
 
 _END_S = 15.0
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)
 
 
 @dataclass(slots=True)
@@ -81,6 +84,7 @@ class Swarm:
             text=True,
             # Ctrl-C must reach only this process, which then ends the children in order, companions first.
             start_new_session=True,
+            preexec_fn=_end_with_parent,
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
         process = Process(name, child, path)
@@ -117,3 +121,12 @@ class Swarm:
                     pipe.close()
         for log in self._logs:
             log.close()
+
+
+def _end_with_parent() -> None:
+    """Let the kernel kill this process when its parent ends.
+
+    A run that is killed cannot end its processes, and one that is left keeps a port or a serial line from the
+    next run.
+    """
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
 
 from tests.integration.conftest import PATIENCE_S, StalledError, again_after_a_stall, stalled
 from tests.support.waiting import until
@@ -47,6 +48,19 @@ def test_ctrl_c_leaves_complete_files(start, tmp_path):
     assert report["interrupted"]
     assert report["ended_badly"] == []
     assert len(list(folder.glob("*-DMUCA*/summary.json"))) == 2
+
+
+def test_a_swarm_that_is_killed_leaves_no_process(start, tmp_path):
+    """One that was left kept a serial line from the next run."""
+    swarm = start("sitl_mocks.cli", "swarm", "--aircraft", "2", "--runs", tmp_path / "runs")
+
+    def running():
+        found = subprocess.run(["pgrep", "-fc", f"companion.commands.*{tmp_path}"], stdout=subprocess.PIPE)
+        return int(found.stdout)
+
+    until(lambda: running() == 2, "both companions", PATIENCE_S)
+    swarm.process.kill()
+    until(lambda: running() == 0, "the end of both companions", PATIENCE_S)
 
 
 def test_a_swarm_in_which_companions_stop_and_pilots_take_over_breaks_no_rule(start, tmp_path):
