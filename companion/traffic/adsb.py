@@ -67,9 +67,14 @@ _REPEATED_S = 5.0
 PLACE = "/"
 """Separates an address from the number of a further place at which it is heard."""
 _OFF_M, _TURNS_MPS2, _FASTEST_MPS = 300.0, 20.0, 600.0
-"""How far a report may be from the predicted place of its aircraft: `_OFF_M` for the errors of both positions
-and of the age, plus what the aircraft may have turned and accelerated since (`_TURNS_MPS2`), up to
-`_FASTEST_MPS`."""
+_NEAR_M, _AGE_ERROR_S, _WRONG_MPS = 100.0, 1.0, 200.0
+"""How far a report may be from the predicted place of its aircraft. `_NEAR_M` allows for the errors of both
+positions, `_AGE_ERROR_S` of flight for that of the age, and `_WRONG_MPS` for a velocity that is not what the
+aircraft flies; together at most `_OFF_M`, which is also allowed while its velocity is not known. It may have
+turned and accelerated since (`_TURNS_MPS2`), up to `_FASTEST_MPS`."""
+_TURNED_MPS, _CLIMBED_MPS, _CLIMBS_MPS2 = 10.0, 6.4, 10.0
+"""How far its velocity may be from the last one: `_TURNED_MPS` and `_TURNS_MPS2` horizontally, `_CLIMBED_MPS`
+(three standard deviations of both) and `_CLIMBS_MPS2` vertically."""
 _APART_S = 1.0
 _STEP_M, _CLIMB_MPS = 50.0, 51.0
 """How far an altitude may be from the last one: `_STEP_M`, and `_CLIMB_MPS` for the time between them. TCAS
@@ -183,7 +188,7 @@ class AdsbTraffic:
             return
         told = (event.lat_deg, event.lon_deg, event.alt_m, event.velocity_ned_mps)
         height = None if alt_msl_m is None else (at_s, position[2])
-        name, jumped = self._name(event.icao, position, height, told, at_s)
+        name, jumped = self._name(event.icao, position, event.velocity_ned_mps, height, told, at_s)
         before = self._seen.get(name)
         # ArduPilot repeats the last report for seconds, always with its first age. Reports of an aircraft
         # that stands still look the same.
@@ -236,11 +241,17 @@ class AdsbTraffic:
             self._make_room(now_s)
 
     def _name(
-        self, icao: int, position: Vec3, height: _Height | None, told: tuple[object, ...], at_s: float
+        self,
+        icao: int,
+        position: Vec3,
+        velocity: Vec3 | None,
+        height: _Height | None,
+        told: tuple[object, ...],
+        at_s: float,
     ) -> tuple[str, bool]:
         """Name of the aircraft that a report is about, such as `4B1234`. If that aircraft cannot be at the
-        reported place, another one uses its address and is named `4B1234/2`; both are kept. If several can
-        be there, it is the one whose height is nearest.
+        reported place with the reported velocity, another one uses its address and is named `4B1234/2`; both
+        are kept. If several can be there, it is the one whose prediction the report fits best.
 
         Returns:
             The name, and whether the aircraft could be there, but not at that height.
@@ -253,11 +264,11 @@ class AdsbTraffic:
                 free = free or place
             elif told == seen.told:
                 return name, False
-            elif _may_be(seen, position, at_s):
-                off_m, allowed_m = _jump_m(seen.height, height)
-                jumped = jumped or off_m > allowed_m
-                if off_m <= allowed_m and off_m < least_m:
-                    best, least_m = name, off_m
+            elif (off_m := _off_m(seen, position, velocity, at_s)) < math.inf:
+                jump_m, allowed_m = _jump_m(seen.height, height)
+                jumped = jumped or jump_m > allowed_m
+                if jump_m <= allowed_m and off_m + jump_m < least_m:
+                    best, least_m = name, off_m + jump_m
         if best:
             return best, False
         self._places = max(self._places, free)
@@ -329,14 +340,33 @@ class AdsbTraffic:
         ]
 
 
-def _may_be(seen: _Seen, position: Vec3, at_s: float) -> bool:
-    """Whether an aircraft may be at a place at a time."""
-    apart_s = abs(at_s - seen.at_s)
+def _off_m(seen: _Seen, position: Vec3, velocity: Vec3 | None, at_s: float) -> float:
+    """How far a report is horizontally from the predicted place of an aircraft, plus what the difference of
+    the velocities makes in a second. Infinite if the aircraft cannot be there with that velocity."""
+    apart_s, changed_mps = abs(at_s - seen.at_s), 0.0
+    last = seen if seen.velocity_sent else seen.spoken
+    if velocity is not None and last is not None:
+        passed_s = abs(at_s - last.at_s)
+        # A velocity that is right again after wrong ones follows `velocity`, which was corrected.
+        changed_mps = min(_change_mps(one, velocity, passed_s) for one in (last.reported, last.velocity))
     known = seen.velocity_sent or seen.velocity != _STILL
     (n, e, _), (vn, ve, _) = seen.position, seen.velocity
     off_m = math.hypot(position[0] - n - vn * (at_s - seen.at_s), position[1] - e - ve * (at_s - seen.at_s))
     turned_m = 0.5 * _TURNS_MPS2 * apart_s * apart_s if known else math.inf
-    return off_m <= _OFF_M + min(turned_m, _FASTEST_MPS * apart_s)
+    near_m = _NEAR_M + _AGE_ERROR_S * math.hypot(vn, ve) + _WRONG_MPS * apart_s if known else _OFF_M
+    if off_m > min(near_m, _OFF_M) + min(turned_m, _FASTEST_MPS * apart_s):
+        return math.inf
+    return off_m + changed_mps
+
+
+def _change_mps(before: Vec3, after: Vec3, passed_s: float) -> float:
+    """Difference of two velocities; infinite if no aircraft has both within that time."""
+    turned_mps, climbed_mps = math.dist(before[:2], after[:2]), abs(after[2] - before[2])
+    if turned_mps > _TURNED_MPS + _TURNS_MPS2 * passed_s:
+        return math.inf
+    if climbed_mps > _CLIMBED_MPS + _CLIMBS_MPS2 * passed_s:
+        return math.inf
+    return turned_mps + climbed_mps
 
 
 def _jump_m(last: _Height | None, height: _Height | None) -> tuple[float, float]:

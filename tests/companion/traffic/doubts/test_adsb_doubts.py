@@ -11,6 +11,11 @@ from companion.traffic.adsb import DOUBTED_S
 from tests.companion.traffic.sky import OWN_DOWN_M, STAMP_S, Sky, report
 from tests.support.place import HOME
 
+
+def by_name(sky, now_s):
+    return {neighbour.track_id: neighbour for neighbour in sky.at(now_s)}
+
+
 # ------------------------------------------------------------ velocities
 
 
@@ -84,7 +89,7 @@ def test_two_forged_places_do_not_make_a_helicopter_fly_that_stands():
         if second in (3, 6):
             sky.take(10.0 + 1.02 * second, report(400.0 + 31.7 * second, velocity_ned_mps=still))
         if second > 14:
-            assert sky.only(10.0 + second).velocity_ned_mps == still
+            assert by_name(sky, 10.0 + second)["4B1234"].velocity_ned_mps == still
 
 
 def test_the_noise_of_positions_corrects_no_velocity():
@@ -100,15 +105,56 @@ def test_the_noise_of_positions_corrects_no_velocity():
 
 @pytest.mark.parametrize("every", [2, 5, 9])
 def test_forged_reports_now_and_then_do_not_correct_a_true_velocity(every):
-    """They are near enough to be taken for the same aircraft's, and say that it stands."""
+    """They are near enough to be taken for the same aircraft's, and say that it is slower."""
     sky, true = Sky(), (-40.0, 0.0, 0.0)
     for second in range(60):
         now_s = 10.0 + second
         sky.take(now_s, report(3000.0 - 40.0 * second, velocity_ned_mps=true))
         assert sky.only(now_s).velocity_ned_mps == true
         if second % every == 0:
-            forged = report(2950.0 - 40.0 * second, 280.0, velocity_ned_mps=(0.0, 0.0, 0.0))
+            forged = report(2950.0 - 40.0 * second, 120.0, velocity_ned_mps=(-30.0, 5.0, 0.0))
             sky.take(now_s + 0.1, forged)
+
+
+@pytest.mark.parametrize(
+    "forged", [(-40.0, 0.0, 12.0), (-40.0, 0.0, -7.5), (0.0, 0.0, 0.0), (-40.0, 13.0, 0.0), (-55.0, 0.0, 0.0)]
+)
+def test_who_forges_another_velocity_takes_nothing_from_the_true_one(forged):
+    """Each forged report follows a true one at once. A helicopter was thereby met at 1 m: by what it had said
+    last, it was on its way out of our height."""
+    sky, true = Sky(), (-40.0, 0.0, 0.0)
+    for second in range(60):
+        now_s, north_m = 10.0 + second, 3000.0 - 40.0 * second
+        sky.take(now_s, report(north_m, velocity_ned_mps=true))
+        sky.take(now_s + 0.05, report(north_m, down_m=-30.0, velocity_ned_mps=forged))
+        found = by_name(sky, now_s + 0.05)
+        assert found["4B1234"].velocity_ned_mps == true
+        assert found["4B1234"].position_ned_m == pytest.approx((north_m, 0.0, -50.0), abs=0.01)
+        assert "4B1234/2" in found
+
+
+@pytest.mark.parametrize("aside_m", [160.0, 250.0])
+def test_who_forges_a_place_nearby_takes_nothing_from_the_true_one(aside_m):
+    sky = Sky()
+    for second in range(60):
+        now_s, north_m = 10.0 + second, 3000.0 - 40.0 * second
+        for aside, later_s in ((0.0, 0.0), (aside_m, 0.05)):
+            sky.take(now_s + later_s, report(north_m, aside, velocity_ned_mps=(-40.0, 0.0, 0.0)))
+        assert by_name(sky, now_s + 0.05)["4B1234"].position_ned_m[1] == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize("every_s", [0.2, 1.0, 2.0, 5.0])
+@pytest.mark.parametrize(("speed_mps", "told"), [(20.0, True), (250.0, True), (20.0, False), (100.0, False)])
+def test_turns_and_climbs_are_of_one_aircraft(speed_mps, told, every_s):
+    """It turns and climbs with 5 m/s2; its velocity may also be told as zero all the time."""
+    sky, rate = Sky(), 5.0 / speed_mps
+    for k in range(int(60.0 / every_s)):
+        t = every_s * k
+        climb, wave = 15.0 * math.sin(t / 3.0), 45.0 * math.cos(t / 3.0)
+        place = speed_mps / rate * math.sin(rate * t), -speed_mps / rate * math.cos(rate * t), wave - 1000.0
+        true = speed_mps * math.cos(rate * t), speed_mps * math.sin(rate * t), -climb
+        sky.take(10.0 + t, report(*place, velocity_ned_mps=true if told else (0.0, 0.0, 0.0)))
+        sky.only(10.0 + t)
 
 
 # ------------------------------------------------------------ heights that change impossibly
