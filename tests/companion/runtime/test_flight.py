@@ -42,17 +42,18 @@ def test_a_lost_link_comes_back_and_remote_id_goes_on_meanwhile(flight, autopilo
         flight,
         lambda: until(heard_of(said, "recording to")),
         autopilot.end,
-        lambda: until(heard_of(said, "lost:")),
+        lambda: until(lambda: not flight.link.up),
         broadcasts_without_link,
         lambda: until(heard_of(said, "link down")),
         lambda: again.append(Autopilot(autopilot.port)),
         lambda: until(lambda: flight.link.up and again[0].commands),
     )
     again[0].end()
-    assert sum("lost:" in line for line in said) == 1
-    assert sum(line.endswith(": restored") for line in said) == 1
     found = summary(flight)
-    assert found["link_losses"] == 1
+    # A stall of the test's computer makes the flight reopen the link, too.
+    assert found["link_losses"] == 1 or heard_of(said, "the program was stopped")()
+    assert sum("lost:" in line for line in said) == found["link_losses"]
+    assert sum(line.endswith(": restored") for line in said) == found["link_losses"]
     assert found["link_sends_dropped"] > 0
     assert found["recorder_error"] is None
 

@@ -354,4 +354,5 @@ def test_tshark_sees_what_we_send(tap: Tap, radio: WifiTransport, tmp_path: Path
     assert [bytes.fromhex(info.replace("-", "")) for info in infos] == [element[6:]]
     assert {row["nan.sdea.service_update_indicator"] for row in nan} == {"", "0"}
     numbers = [int(row["wlan.seq"]) for row in rows]
-    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    # A capture on a busy computer may miss a frame.
+    assert all(0 < (after - before) % 4096 <= 5 for before, after in itertools.pairwise(numbers))
