@@ -21,8 +21,9 @@ from tests.support.place import HOME
 
 def test_range_is_measured_from_us_and_not_from_where_the_flight_began():
     sky = Sky()
-    sky.own_ned_m = (60_000.0, 0.0, OWN_DOWN_M)
-    sky.take(10.0, report(north_m=61_000.0), report(north_m=9_000.0, icao=0xA00001))
+    sky.own_ned_m = (60_000.0, -60_000.0, OWN_DOWN_M)
+    sky.take(10.0, report(61_000.0, -61_000.0), report(9_000.0, -60_000.0, icao=0xA00001))
+    sky.take(10.0, report(60_000.0, -9_000.0, icao=0xA00002))
     assert sky.only(10.0).position_ned_m[0] == pytest.approx(61_000.0, abs=1.0)
 
 
@@ -95,6 +96,7 @@ def test_a_turn_is_told_to_the_law():
         velocity = (50.0 * math.cos(course), 50.0 * math.sin(course), 0.0)
         place = (1000.0 + radius_m * math.sin(course), radius_m * (1.0 - math.cos(course)))
         sky.take(10.0 + t, report(*place, velocity_ned_mps=velocity))
+        assert t > 0 or sky.only(10.0).turn_rps == 0.0
     assert sky.only(29.0).turn_rps == pytest.approx(math.radians(3.0), rel=1e-3)
 
 
