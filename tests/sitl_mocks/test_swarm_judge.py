@@ -95,7 +95,7 @@ def vehicle(tmp_path):
 def examined(vehicle, folder, link, faults, *, awaited=frozenset()):
     """Report of a test double under these faults once it has broken the expected rules. Without faults it
     obeys."""
-    schedule = AircraftSchedule(1, 1, 0, link, 3.0, faults)
+    schedule = AircraftSchedule(1, 1, 0, link, 4.5, faults)
     one = Examination(vehicle, LimitsConfig(max_speed_mps=6.0), time.monotonic(), schedule, folder)
     with contextlib.closing(one):
         one.start()
@@ -117,8 +117,9 @@ def rules(report):
     return {row["rule"] for row in report["breaches"]}
 
 
-RTL = Fault("mode", 0.5, modes=("rtl",))
-AT_ONCE = Fault("mode", 0.5, modes=("land", "manual", "rtl"))
+# Late enough that the test double has control by then, also on a busy computer.
+RTL = Fault("mode", 2.0, modes=("rtl",))
+AT_ONCE = Fault("mode", 2.0, modes=("land", "manual", "rtl"))
 
 
 @pytest.mark.parametrize(("link", "mode"), [("udp", RTL), ("tcp", RTL), ("tcp", AT_ONCE), ("pty", AT_ONCE)])
@@ -127,7 +128,7 @@ def test_a_companion_that_overrides_the_pilot_is_reported(vehicle, tmp_path, lin
     assert report["choices_while_held"] == 1
     assert report["unknown"] is None
     json.dumps(report)
-    assert all(row["schedule_s"] > 0.5 for row in report["breaches"])
+    assert all(row["schedule_s"] > 2.0 for row in report["breaches"])
 
 
 @pytest.mark.parametrize("link", ["udp", "tcp"])
