@@ -143,4 +143,4 @@ def test_omniscient_refuses_unsupported_cells(options, said):
 
 def test_omniscient_is_listed_among_the_laws(capsys):
     assert cli.main(["campaign", "run", "--generator", "S2", "--law", "nonsense"]) == 2
-    assert "fly-away, omniscient" in capsys.readouterr().err
+    assert "daidalus, omniscient" in capsys.readouterr().err
