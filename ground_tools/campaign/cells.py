@@ -385,6 +385,7 @@ def software(
 def software_of(cells: Sequence[Cell]) -> str:
     """`software` with exactly the parts on which the flights of these cells depend."""
     plugged = sorted({state_of(p) for cell in cells if (p := flown_by(cell).plugin) is not None})
+    brought = sorted({state for cell in cells if (state := flown.brought(cell.law)) is not None})
     state = software(
         twins=bool(plugged) or any(cell.twins for cell in cells),
         peers=any(cell.law not in LAWS and cell.law != omniscient.NAME for cell in cells),
@@ -392,7 +393,7 @@ def software_of(cells: Sequence[Cell]) -> str:
         scenarios=any(cell.on_missions or cell.generator in layouts.SCENARIOS for cell in cells),
         others=any(cell.generator.startswith(files.PREFIX) for cell in cells),
     )
-    return "-".join([state, *plugged])
+    return "-".join([state, *plugged, *brought])
 
 
 def baseline(cell: Cell) -> Cell:

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign.cells import Cell, Row
+from ground_tools.campaign.peers.flown import brought
 from ground_tools.channel import options
 from ground_tools.common.cluster import on_ray
 from ground_tools.common.intervals import wilson
@@ -25,6 +26,8 @@ _AIRCRAFT_AT_ONCE = 500
 """Number of aircraft that a worker flies before it returns their results."""
 _TWINS_LONGER = 50
 """Computing time of a flight with twins, relative to other flights."""
+_BROUGHT_LONGER = 10
+"""The same for a law that another project's library computes."""
 
 Part = tuple[Cell, list[int]]
 """One unit of work for a worker: some seeds of a cell."""
@@ -68,7 +71,8 @@ def fly_missing(
     parts: list[Part] = []
     for cell in wanted:
         missing = [seed for seed in seeds if seed not in rows[cell]]
-        size = max(1, _AIRCRAFT_AT_ONCE // cell.aircraft // (_TWINS_LONGER if cell.twins else 1))
+        longer = _TWINS_LONGER if cell.twins else _BROUGHT_LONGER if brought(cell.law) is not None else 1
+        size = max(1, _AIRCRAFT_AT_ONCE // cell.aircraft // longer)
         parts += [(cell, missing[at : at + size]) for at in range(0, len(missing), size)]
     with progress("flights", len(parts)) as advance:
         for (cell, _), found in work(parts):

@@ -58,6 +58,12 @@ def _crewed(path: Path) -> list[str]:
     return table.sample(path)
 
 
+def _sensed(path: Path) -> list[str]:
+    from ground_tools.campaign.sensed import cells
+
+    return cells.sample(path)
+
+
 def _closed_loop(path: Path) -> list[str]:
     from ground_tools.results import samples
 
@@ -96,7 +102,7 @@ def _sweep(path: Path) -> list[str]:
 
 def entries() -> list[Entry]:
     """All kept files, in the order of their names."""
-    found = [*_tables(), *_compared(), _encounters(), *_flown(), *_cities(), *_trained()]
+    found = [*_tables(), *_compared(), _encounters(), _unheard(), *_flown(), *_cities(), *_trained()]
     return sorted(found, key=lambda entry: entry.name)
 
 
@@ -147,6 +153,15 @@ def _encounters() -> Entry:
         "--range 2000 --seeds 100001-102000 --file results/campaign/encounters.json",
         ("ground_tools.campaign.encounters.cells",),
         _crewed,
+    )
+
+
+def _unheard() -> Entry:
+    return Entry(
+        "results/campaign/sensed.json",
+        "ground-tools campaign sensed --seeds 1-1000 --file results/campaign/sensed.json",
+        ("ground_tools.campaign.sensed.flight",),
+        _sensed,
     )
 
 

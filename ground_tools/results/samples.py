@@ -7,14 +7,20 @@ from pathlib import Path
 
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import tables
+from ground_tools.campaign.peers.flown import missing
 from ground_tools.common import table_file
 from ground_tools.common.kept_lines import read_lines
+from ground_tools.common.provenance import CannotSampleError
 from ground_tools.paper.closed_loop import command as closed_loop
 from ground_tools.paper.closed_loop.flights import Row, rows_of
 
 
 def campaign_table(path: Path) -> list[str]:
-    """Fly the first seed of every line of a campaign's table again. Returns the differences, as text."""
+    """Fly the first seed of every line of a campaign's table again. Returns the differences, as text.
+
+    Raises:
+        CannotSampleError: some lines need what is not there; all others are the same.
+    """
     table = table_file.read(path, tables.Kept)
     if not table.lines:
         return ["the file holds no line"]
@@ -22,7 +28,7 @@ def campaign_table(path: Path) -> list[str]:
     if wanted is not None and [line.cell for line in table.lines] != wanted():
         return [f"the file holds other cells than the table's; it has {len(table.lines)} of {len(wanted())}"]
     runs = 1 + table.seeds[1] - table.seeds[0]
-    found = []
+    found, absent = [], []
     for line in table.lines:
         if line.first is None:
             return ["the file holds no single flight to compare with"]
@@ -30,12 +36,19 @@ def campaign_table(path: Path) -> list[str]:
             found.append(
                 f"{line.cell.name}: {line.found.get('runs')} flights; seeds {table.seeds} are {runs}"
             )
+        if (why := missing(line.cell.law)) is not None:
+            absent.append(why)
+            continue
         (again,) = campaign.fly(line.cell, [line.first.seed])
         if again != line.first:
             found.append(
                 f"{line.cell.name}, seed {line.first.seed}: least separation {line.first.separation_m:g} m, "
                 f"now {again.separation_m:g} m"
             )
+    if absent and not found:
+        raise CannotSampleError(
+            f"{len(absent)} of {len(table.lines)} lines, of which {absent[0]}; the others are the same"
+        )
     return found
 
 

@@ -9,47 +9,49 @@ beside this file.
 import ctypes
 import functools
 import os
-import weakref
 from pathlib import Path
+from types import SimpleNamespace
 
 from companion.errors import ConfigError
 
-RADIUS_M, HEIGHT_M = 25.0, 25.0
-"""Cylinder to keep clear of: its radius, and half its height."""
+RADIUS_M = 25.0
+"""Radius and half height of the cylinder to keep clear of."""
 LOOK_S = 30.0
+DIRECTIONS_FIRST = 1
+"""1: a change of speed is flown only where there is no direction; 0: the nearer of both is flown."""
 PERIOD_S = 1.0
 """Time between two questions to DAIDALUS."""
 _STILL_MPS = 0.05
 """A slower velocity has no direction that DAIDALUS could judge."""
 
-_NUMBERS = ctypes.POINTER(ctypes.c_double)
+_NUMBER, _POINTER = ctypes.c_double, ctypes.c_void_p
+_FUNCTIONS = {
+    "of": (_POINTER, [_NUMBER] * 3),
+    "begin": (None, [_POINTER, *[_NUMBER] * 6]),
+    "add": (None, [_POINTER, *[_NUMBER] * 6]),
+    "decide": (ctypes.c_int, [_POINTER, ctypes.c_int]),
+    "north": (_NUMBER, [_POINTER]),
+    "east": (_NUMBER, [_POINTER]),
+}
+"""Type of the answer and of the arguments of each function; `shim.cpp` describes them."""
 
 
 @functools.cache
 def library():
-    """The built library.
+    """The functions of the built library, by their names without the prefix.
 
     Raises:
         ConfigError: it is missing, or is no such library.
     """
     path = Path(os.environ.get("DMUCA_DAIDALUS") or Path(__file__).with_name("libdmuca_daidalus.so"))
     try:
-        found = ctypes.CDLL(str(path))
-        new, delete, decide = (
-            getattr(found, f"dmuca_daidalus_{name}") for name in ("new", "delete", "decide")
-        )
+        built = ctypes.CDLL(str(path))
+        found = {name: getattr(built, f"dmuca_daidalus_{name}") for name in _FUNCTIONS}
     except (OSError, AttributeError) as error:
         raise ConfigError(f"DAIDALUS: {path}: {error}; build.sh of dmuca-daidalus makes it") from error
-    new.restype, new.argtypes = ctypes.c_void_p, [ctypes.c_double] * 4
-    delete.restype, delete.argtypes = None, [ctypes.c_void_p]
-    decide.argtypes = [
-        ctypes.c_void_p, ctypes.c_double, _NUMBERS, _NUMBERS, ctypes.c_int, _NUMBERS, _NUMBERS, _NUMBERS,
-    ]  # fmt: skip
-    return found
-
-
-def _numbers(values):
-    return (ctypes.c_double * max(len(values), 1))(*values)
+    for name, (answer, arguments) in _FUNCTIONS.items():
+        found[name].restype, found[name].argtypes = answer, arguments
+    return SimpleNamespace(**found)
 
 
 class Daidalus:
@@ -57,7 +59,6 @@ class Daidalus:
 
     def __init__(self, avoidance):
         self._library = library()
-        self._daa, self._speed_mps = None, 0.0
         self._asked_s, self._found = float("-inf"), None
 
     def choose(self, situation, follow, limits):
@@ -68,19 +69,14 @@ class Daidalus:
         return follow.wanted_ned_mps if self._found is None else self._found
 
     def _ask(self, situation, follow, limits):
-        wanted = follow.wanted_ned_mps
+        wanted, ask = follow.wanted_ned_mps, self._library
         if (wanted[0] ** 2 + wanted[1] ** 2) ** 0.5 < _STILL_MPS:
             return None
-        if self._daa is None or self._speed_mps != limits.max_speed_mps:
-            self._speed_mps = limits.max_speed_mps
-            self._daa = self._library.dmuca_daidalus_new(RADIUS_M, HEIGHT_M, LOOK_S, self._speed_mps)
-            weakref.finalize(self, self._library.dmuca_daidalus_delete, self._daa)
-        found = (ctypes.c_double * 3)()
-        answer = self._library.dmuca_daidalus_decide(
-            self._daa, situation.now_s, _numbers(situation.position_ned_m), _numbers(wanted),
-            len(follow.tracks), _numbers([x for track in follow.tracks for x in track.position_ned_m]),
-            _numbers([x for track in follow.tracks for x in track.velocity_ned_mps]), found,
-        )  # fmt: skip
+        daa = ask.of(RADIUS_M, LOOK_S, limits.max_speed_mps)
+        ask.begin(daa, *situation.position_ned_m, *wanted)
+        for track in follow.tracks:
+            ask.add(daa, *track.position_ned_m, *track.velocity_ned_mps)
+        answer = ask.decide(daa, DIRECTIONS_FIRST)
         if answer == 0:
             return None
-        return tuple(found) if answer == 1 else (0.0, 0.0, wanted[2])
+        return (ask.north(daa), ask.east(daa), wanted[2]) if answer == 1 else (0.0, 0.0, wanted[2])

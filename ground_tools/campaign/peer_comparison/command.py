@@ -15,6 +15,7 @@ from ground_tools.campaign import tables
 from ground_tools.campaign.cells import Cell
 from ground_tools.campaign.peer_comparison import pareto, search
 from ground_tools.campaign.peer_comparison import table as comparison
+from ground_tools.campaign.peers.flown import missing
 from ground_tools.campaign.runs import add_common, fly_missing, work_of
 from ground_tools.common import table_file
 from ground_tools.common.run_options import seeds_of
@@ -108,7 +109,13 @@ def _fly(
     """Fly cells, print the results as text or JSON, and store them."""
     seeds = seeds_of(args.seeds)
     table_file.check_writable(args.file)
-    found, _ = fly_missing(wanted, seeds, args.out, work_of(args, Console(stderr=True)))
+    words = Console(stderr=True)
+    absent = {law: why for cell in wanted if (why := missing(law := cell.law)) is not None}
+    for why in dict.fromkeys(absent.values()):
+        names = ", ".join(sorted({law.partition(":")[0] for law in absent if absent[law] == why}))
+        words.print(f"{names}: not flown: {why}", soft_wrap=True, highlight=False)
+    wanted = [cell for cell in wanted if cell.law not in absent]
+    found, _ = fly_missing(wanted, seeds, args.out, work_of(args, words))
     lines = [
         tables.Line(cell=cell, found=search.figures(found[cell]), first=found[cell][0]) for cell in wanted
     ]

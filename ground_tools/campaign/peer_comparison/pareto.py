@@ -22,7 +22,7 @@ ENCOUNTERS: Final = (
     Cell(generator="circle", aircraft=5, delay_s=DELAY_S, intruders=TURNING, intruder="turning"),
 )
 _TITLES: Final = ("S2, all avoid", "circle, 1 in 5 turns at random and avoids nobody")
-_MARKS: Final = "os^vD"
+_MARKS: Final = "os^vDP"
 _ZERO: Final = 0.5
 """Height at which a point without a loss is drawn on the logarithmic axis, in lost flights."""
 
@@ -47,13 +47,14 @@ def cells() -> list[Cell]:
 
 
 def draw(path: Path, lines: Sequence[Line]) -> None:
-    """Draw the picture to a PNG file.
+    """Draw the picture to a PNG file, without the laws that were not flown at all.
 
     Raises:
         ConfigError: matplotlib is not installed, a line is missing, or the file cannot be written.
     """
     found = {line.cell: line.found for line in lines}
-    if missing := [cell.name for cell in cells() if cell not in found]:
+    flown = _names(found)
+    if missing := [cell.name for cell in cells() if cell not in found and _name(cell) in flown]:
         raise ConfigError(f"the picture needs {len(missing)} cells that were not flown, such as {missing[0]}")
     with drawn(path, (13.0, 6.0)) as figure:
         for axes, encounter, title in zip(figure.subplots(1, 2), ENCOUNTERS, _TITLES, strict=True):
@@ -64,6 +65,8 @@ def draw(path: Path, lines: Sequence[Line]) -> None:
 
 def _panel(axes: Any, encounter: Cell, found: dict[Cell, dict[str, Any]]) -> None:
     for mark, (name, variants) in zip(_MARKS, laws().items(), strict=True):
+        if name not in _names(found):
+            continue
         of = [found[msgspec.structs.replace(encounter, law=law)] for law in variants]
         main = OWN[0] if name == "dmuca" else PEERS[name].main
         axes.plot(
@@ -78,12 +81,21 @@ def _panel(axes: Any, encounter: Cell, found: dict[Cell, dict[str, Any]]) -> Non
     axes.set_ylabel("flights that lost separation (%); lowest: none")
 
 
+def _name(cell: Cell) -> str:
+    return cell.law.partition(":")[0]
+
+
+def _names(found: dict[Cell, dict[str, Any]]) -> set[str]:
+    """Names of the laws that were flown."""
+    return {_name(cell) for cell in found}
+
+
 def markdown(lines: Sequence[Line]) -> str:
-    """The points of the picture as a Markdown table."""
+    """The points of the picture as a Markdown table, except those of laws that were not flown."""
     found = {line.cell: line.found for line in lines}
     rows = ["| law | " + " | ".join(_TITLES) + " |", "| --- | --- | --- |"]
-    for variants in laws().values():
-        for law in variants:
+    for name, variants in laws().items():
+        for law in variants if name in _names(found) else ():
             of = [found[msgspec.structs.replace(encounter, law=law)] for encounter in ENCOUNTERS]
             rows.append(f"| `{law}` | " + " | ".join(map(separation, of)) + " |")
     return "".join(row + "\n" for row in rows)

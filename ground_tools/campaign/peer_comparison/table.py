@@ -84,7 +84,7 @@ TABLES: Final[dict[str, Table]] = {
     ),
     "missions": Table(
         "one aircraft that avoids and one on a mission that does not, delays of 1 to 2 s",
-        ("none", "dmuca", CALM, "orca-growth", WIDE, "mvp", "fly-away"),
+        ("none", "dmuca", CALM, "orca-growth", WIDE, "mvp", "fly-away", "daidalus"),
         _missions(),
         _hits,
         "flights with a pair below 10 m / below 2 m / median of each flight's largest deviation (m)",
@@ -109,11 +109,13 @@ def markdown(name: str, lines: Sequence[Line]) -> str:
 
     Args:
         name: a key of `TABLES`.
-        lines: one for each of its cells.
+        lines: one for each of its cells, except those of laws that were not flown.
     """
     table, found = TABLES[name], {line.cell: line.found for line in lines}
-    rows = [["encounter", *table.laws], ["---"] * (1 + len(table.laws))]
+    flown = {cell.law for cell in found}
+    laws = [law for law in table.laws if law in flown]
+    rows = [["encounter", *laws], ["---"] * (1 + len(laws))]
     for encounter in table.encounters:
-        of = [found[msgspec.structs.replace(encounter, law=law)] for law in table.laws]
+        of = [found[msgspec.structs.replace(encounter, law=law)] for law in laws]
         rows.append([words_of(encounter), *map(table.show, of)])
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)

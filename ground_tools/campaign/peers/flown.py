@@ -84,6 +84,31 @@ def flown_by(law: str, companions: Mapping[str, AvoidanceConfig]) -> Flown:
     try:
         if name == OWN:
             return Flown(companions[OWN], changed=laws.varied(law))
-        return Flown(companions[OWN], peer=laws.of(law))
+        peer = laws.of(law)
     except ValueError as error:
         raise ConfigError(f"--law: {error}") from error
+    if (why := missing(law)) is not None:
+        raise ConfigError(f"--law: {why}")
+    return Flown(companions[OWN], peer=peer)
+
+
+def missing(law: str) -> str | None:
+    """What a peer law needs that is not there, as text; None if it can be flown."""
+    peer = laws.PEERS.get(law.partition(":")[0])
+    if peer is None or peer.needs is None:
+        return None
+    try:
+        peer.needs()
+    except ConfigError as error:
+        return str(error)
+    return None
+
+
+def brought(law: str) -> str | None:
+    """Digest of what a peer law brings from outside this project; None if that is nothing.
+
+    Raises:
+        ConfigError: it is not there.
+    """
+    peer = laws.PEERS.get(law.partition(":")[0])
+    return None if peer is None or peer.needs is None else peer.needs()

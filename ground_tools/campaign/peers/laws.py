@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, cast
 
 from ground_tools.campaign.flight import Loop
-from ground_tools.campaign.peers import fly_away, mvp, orca
+from ground_tools.campaign.peers import daidalus, fly_away, mvp, orca
+from ground_tools.campaign.peers.daidalus import Daidalus
 from ground_tools.campaign.peers.fly_away import FlyAway
 from ground_tools.campaign.peers.mvp import Mvp
 from ground_tools.campaign.peers.orca import Orca
 
-Parameters = Orca | Mvp | FlyAway
+Parameters = Orca | Mvp | FlyAway | Daidalus
 CANDIDATES: Final = 24
 """Budget of a search: number of candidates for each law that has a `Peer.grid`."""
 _PERIOD_S: Final = 0.2
@@ -50,6 +51,9 @@ class Peer:
     """Parameter that trades deviation for safety, and its values for the picture; empty: the law is not in
     the picture."""
     values: tuple[float, ...] = ()
+    needs: Callable[[], str] | None = None
+    """Loads what the law needs beside this project. Returns a digest of it; raises ConfigError if it is not
+    there."""
 
     def candidates(self) -> list[Parameters]:
         """Parameter sets that a search tries, in a fixed order."""
@@ -112,6 +116,19 @@ PEERS: Final[dict[str, Peer]] = {
         main="f_dist_xy_m",
         values=(10.0, 15.0, 20.0, 30.0),
     ),
+    "daidalus": Peer(
+        "follow the nearest advice of NASA's DAIDALUS",
+        cast(Loop, daidalus.fly),
+        Daidalus(radius_m=25.0, look_s=30.0, directions_first=1.0, predicted=1.0),
+        grid={
+            "radius_m": (16.0, 20.0, 25.0, 30.0),
+            "look_s": (10.0, 20.0, 30.0),
+            "directions_first": (0.0, 1.0),
+        },
+        main="radius_m",
+        values=(16.0, 20.0, 25.0, 30.0),
+        needs=daidalus.load,
+    ),
 }
 
 
@@ -156,7 +173,9 @@ def _given(name: str, given: str, known: Sequence[str]) -> dict[str, float]:
 
 
 def _number(name: str, key: str, text: str) -> float:
-    switch = key in ("predicted", "own_volume", "level") or (key == "growth" and name in PEERS)
+    switch = key in ("predicted", "own_volume", "level", "directions_first") or (
+        key == "growth" and name in PEERS
+    )
     try:
         value = float(text)
     except ValueError:

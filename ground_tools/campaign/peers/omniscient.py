@@ -31,8 +31,9 @@ STEP_S: Final = 0.5
 """Time step of the plan."""
 APART_M: Final = 11.0
 """Distance that the plan keeps: the required 10 m plus the error with which aircraft follow the plan."""
-_WITHIN: Final = 0.85
-"""Share of the limits that the plan uses; the rest is a reserve for following the plan."""
+_WITHIN: Final = (0.5, 0.85)
+"""Shares of the limits that a plan uses; the rest is a reserve for following it. A larger share is used only
+where no plan within a smaller one keeps everybody apart: vehicles follow a sharper plan with more error."""
 _TOLERANCE_M: Final = 0.5
 _LINEARISED, _ROUNDS = 4, 60
 _STILL_M: Final = 2e-3
@@ -102,18 +103,20 @@ def plan(rng: np.random.Generator, wanted: AnyFloats, others: AnyFloats, limits:
 
     Returns:
         Planned positions at each time step, (A, T, 3). If a plan does not keep everybody apart, more are made
-        from other initial guesses. If none does, the plan with the least shortfall is returned.
+        from other initial guesses, and then with more of the limits. If none does, the plan with the least
+        shortfall is returned.
     """
     if _least_distance(wanted, others) >= APART_M:
         return wanted
     found: list[tuple[float, int, AnyFloats]] = []
-    for attempt in range(_BEGINNINGS):
-        first = _parted(None if attempt == 0 else rng, wanted, others)
-        one = _optimised(first, wanted, others, limits)
-        short = APART_M - _TOLERANCE_M - _least_distance(one, others)
-        found.append((short, attempt, one))
-        if short <= 0.0:
-            break
+    for within in _WITHIN:
+        for beginning in range(_BEGINNINGS):
+            first = _parted(None if beginning == 0 else rng, wanted, others)
+            one = _optimised(first, wanted, others, limits, within)
+            short = APART_M - _TOLERANCE_M - _least_distance(one, others)
+            found.append((short, len(found), one))
+            if short <= 0.0:
+                return one
     return min(found)[2]
 
 
@@ -173,7 +176,9 @@ def _nearest(away: AnyFloats) -> AnyFloats:
     return np.asarray(p + np.clip(-(p * d).sum(axis=-1, keepdims=True) / square, 0.0, 1.0) * d)
 
 
-def _optimised(first: AnyFloats, wanted: AnyFloats, others: AnyFloats, limits: Limits) -> AnyFloats:
+def _optimised(
+    first: AnyFloats, wanted: AnyFloats, others: AnyFloats, limits: Limits, within: float
+) -> AnyFloats:
     """A local optimum near `first`. Around every relative position, the set of allowed positions is replaced
     by a half-space. The resulting convex problem is solved; this is repeated a few times."""
     number, steps, _ = wanted.shape
@@ -189,8 +194,8 @@ def _optimised(first: AnyFloats, wanted: AnyFloats, others: AnyFloats, limits: L
         sides = [_directions(x[a] - x[b]), _directions(x[:, None] - others[None])]
         for _ in range(_ROUNDS):
             copies = [
-                _in_ball(_rate(_rate(x)) + off[0], _WITHIN * limits.acceleration[:, None, None]),
-                _in_limits(_rate(x) + off[1], limits),
+                _in_ball(_rate(_rate(x)) + off[0], within * limits.acceleration[:, None, None]),
+                _in_limits(_rate(x) + off[1], limits, within),
                 _beyond(x[a] - x[b] + off[2], sides[0]),
                 _beyond(x[:, None] - others[None] + off[3], sides[1]),
             ]
@@ -231,10 +236,10 @@ def _in_ball(way: AnyFloats, most: AnyFloats) -> AnyFloats:
     return np.asarray(way * np.minimum(1.0, most / np.maximum(size, 1e-9)))
 
 
-def _in_limits(velocity: AnyFloats, limits: Limits) -> AnyFloats:
+def _in_limits(velocity: AnyFloats, limits: Limits, within: float) -> AnyFloats:
     """Velocities within the limits, close to the nearest ones: first the vertical speed is limited, then the
     horizontal one."""
-    down = np.clip(velocity[..., 2], -_WITHIN * limits.climb[:, None], _WITHIN * limits.descent[:, None])
+    down = np.clip(velocity[..., 2], -within * limits.climb[:, None], within * limits.descent[:, None])
     room = np.sqrt(np.maximum(limits.speed[:, None] ** 2 * _FAST**2 - down**2, 0.0))
     return np.concatenate([_in_ball(velocity[..., :2], room[..., None]), down[..., None]], axis=-1)
 

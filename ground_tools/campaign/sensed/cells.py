@@ -11,9 +11,10 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from ground_tools.campaign.sensed import flight
 from ground_tools.campaign.sensed.flight import HIT_M, SEPARATION_M, Row
 from ground_tools.campaign.sensed.scene import Cell
-from ground_tools.common import sources
+from ground_tools.common import sources, table_file
 from ground_tools.common.intervals import wilson
 from ground_tools.common.kept_lines import Kept
 
@@ -21,6 +22,50 @@ _HEAD: Final = (
     "| in the way | sensor, m | flights | unavoided: lost / hit | lost | hit | least, m | 1 % / median, m "
     "| deviation, m | seen before, s |"
 )
+
+
+class Line(msgspec.Struct, frozen=True, kw_only=True):
+    """A cell and its results."""
+
+    cell: Cell
+    found: dict[str, Any]
+    """The result of `summary`."""
+    first: Row
+    """The flight of the first seed, for comparison with a flight by other software."""
+
+
+class Table(msgspec.Struct, frozen=True, kw_only=True):
+    """Several cells as they are stored in a file."""
+
+    software: str
+    """The result of `software`."""
+    seeds: tuple[int, int]
+    """First and last seed of the flights."""
+    lines: tuple[Line, ...]
+
+
+def sample(path: Path) -> list[str]:
+    """Fly the first seed of every line of a stored table again. Returns the differences, as text.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    table = table_file.read(path, Table)
+    if not table.lines:
+        return ["the file holds no line"]
+    flights = 1 + table.seeds[1] - table.seeds[0]
+    found = []
+    for one in table.lines:
+        words = f"{one.cell.kind} at {one.cell.range_m:g} m"
+        if one.found.get("flights") != flights:
+            return [f"{words}: {one.found.get('flights')} flights; seeds {table.seeds} are {flights}"]
+        again = flight.fly(one.cell, one.first.seed)
+        if again != one.first:
+            found.append(
+                f"{words}, seed {again.seed}: least separation {one.first.separation_m:g} m, "
+                f"now {again.separation_m:g} m"
+            )
+    return found
 
 
 def kept(folder: Path, cell: Cell) -> Kept[Row]:

@@ -15,6 +15,7 @@ from ground_tools.campaign.sensed import cells, flight
 from ground_tools.campaign.sensed.flight import Row
 from ground_tools.campaign.sensed.scene import KINDS, Cell
 from ground_tools.channel import options
+from ground_tools.common import table_file
 from ground_tools.common.kept_lines import Kept
 from ground_tools.common.missing_flights import fly_missing
 from ground_tools.common.run_options import processes_of, seeds_of
@@ -49,6 +50,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     add("--processes", type=int, metavar="N", help="worker processes (default: one per core)")
     add("--out", type=Path, metavar="FOLDER",
         help="keep results in this folder, and do not repeat flights whose results are there")  # fmt: skip
+    add("--file", type=Path, metavar="FILE", help="also write all numbers as JSON")
     add("--json", action="store_true", help="print one JSON object instead of a table")
     command.set_defaults(run=run)
 
@@ -61,12 +63,18 @@ def run(args: argparse.Namespace) -> int:
     """
     seeds, processes = seeds_of(args.seeds), processes_of(args.processes)
     wanted = _cells(args)
+    table_file.check_writable(args.file)
     files: dict[Cell, Kept[Row]] = {}
     if args.out is not None:
         options.make_folder(args.out)
         files = {cell: cells.kept(args.out, cell) for cell in wanted}
     rows = fly_missing(_fly, wanted, seeds, files, lambda row: row.seed, processes)
     found = {cell: cells.summary(rows[cell]) for cell in wanted}
+    if args.file is not None:
+        stored = tuple(cells.Line(cell=cell, found=found[cell], first=rows[cell][0]) for cell in wanted)
+        table_file.write(
+            args.file, cells.Table(software=cells.software(), seeds=(seeds[0], seeds[-1]), lines=stored)
+        )
     if args.json:
         lines = [{**msgspec.to_builtins(cell), **one} for cell, one in found.items()]
         print(json.dumps({"cells": lines}, allow_nan=False))

@@ -27,7 +27,7 @@ from ground_tools.campaign.world import World
 from ground_tools.common import table_file
 from ground_tools.common.sources import ROOT
 
-PEERS = sorted(laws.PEERS)
+PEERS = sorted(name for name in laws.PEERS if flown.missing(name) is None)
 EXACT = World(end_s=100.0, sigma_m=0.0, sigma_mps=0.0, declared_m=0.0, quantised=False, delay_s=(0.0, 0.0))
 LIMITS = settings_of(AvoidanceConfig(), LimitsConfig(), Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0)] * 2))
 
@@ -259,8 +259,8 @@ def test_fly_away_has_no_direction_in_an_exact_head_on():
 @pytest.mark.parametrize("law", PEERS)
 def test_the_same_seed_gives_the_same_flight(law):
     cell = Cell(generator="head-on", aircraft=3, law=law, delay_s=(1.0, 2.0))
-    first, again = campaign.fly(cell, [1, 2]), campaign.fly(cell, [1, 2])
-    assert first == again
+    first = campaign.fly(cell, [1, 2])
+    assert campaign.fly(cell, [1, 2]) == first
     assert first[0].separation_m != first[1].separation_m
     assert first[0].manoeuvres > 0.0
     assert first[0].alerts
@@ -377,7 +377,7 @@ def test_the_best_candidate_loses_least_and_then_deviates_least():
 def test_the_kept_search_found_what_the_laws_fly_with():
     kept = table_file.read(ROOT / "results" / "campaign" / "peers-search.json", tables.Kept)
     assert f"{kept.seeds[0]}-{kept.seeds[1]}" == search.SEEDS
-    assert [x.cell for x in kept.lines] == search.cells()
+    assert [x.cell for x in kept.lines] == of_flown(kept, search.cells())
     for name, law in search.best_of(kept.lines).items():
         assert laws.of(law)[1] == laws.PEERS[name].best
 
@@ -385,19 +385,25 @@ def test_the_kept_search_found_what_the_laws_fly_with():
 @pytest.mark.parametrize("name", comparison.TABLES)
 def test_the_page_shows_the_kept_tables(name):
     kept = table_file.read(ROOT / "results" / "campaign" / f"peers-{name}.json", tables.Kept)
-    assert [x.cell for x in kept.lines] == comparison.TABLES[name].cells()
+    assert [x.cell for x in kept.lines] == of_flown(kept, comparison.TABLES[name].cells())
     assert comparison.markdown(name, kept.lines) in on_the_page(kept)
 
 
 def test_the_page_shows_the_points_of_the_picture():
     kept = table_file.read(ROOT / "results" / "campaign" / "peers-pareto.json", tables.Kept)
-    assert [x.cell for x in kept.lines] == pareto.cells()
+    assert [x.cell for x in kept.lines] == of_flown(kept, pareto.cells())
     assert pareto.markdown(kept.lines) in on_the_page(kept)
 
 
 def test_the_page_shows_the_best_of_the_kept_search():
     kept = table_file.read(ROOT / "results" / "campaign" / "peers-search.json", tables.Kept)
     assert search.markdown(kept.lines) in (ROOT / "docs" / "peers-results.md").read_text()
+
+
+def of_flown(kept, cells):
+    """The cells, without those of a law that needs what was not there when the file was made."""
+    names = {x.cell.law.partition(":")[0] for x in kept.lines}
+    return [c for c in cells if (n := c.law.partition(":")[0]) in names or not laws.PEERS[n].needs]
 
 
 def on_the_page(kept):
@@ -418,8 +424,7 @@ def test_a_table_from_one_command(capsys, monkeypatch, tmp_path):
     words = ["campaign", "peers", "table", "encounters", "--seeds", "1-2", "--processes", "1"]
     words += ["--out", str(tmp_path / "kept"), "--file", str(tmp_path / "table.json")]
     assert cli.main(words) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("| encounter | none | orca |\n| --- | --- | --- |\n| S2 | ")
+    assert capsys.readouterr().out.startswith("| encounter | none | orca |\n| --- | --- | --- |\n| S2 | ")
     assert cli.main([*words, "--json"]) == 0
     lines = json.loads(capsys.readouterr().out)["lines"]
     assert [(x["encounter"], x["law"], x["runs"]) for x in lines] == [("S2", "none", 2), ("S2", "orca", 2)]

@@ -123,4 +123,4 @@ def test_an_unknown_law_is_answered_with_all_that_are_known(capsys):
     assert cli.main(command) == 2
     text = capsys.readouterr().err
     assert "--law: dmcua is unknown; allowed: dmuca, paper, none, orca" in text
-    assert "fly-away, omniscient, aside, " in text
+    assert "daidalus, omniscient, aside, " in text

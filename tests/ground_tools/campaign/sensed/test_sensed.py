@@ -6,11 +6,14 @@ import json
 import math
 
 import pytest
+from msgspec.structs import replace
 
 from ground_tools.campaign.sensed import cells, flight, scene
 from ground_tools.campaign.sensed.flight import Row
 from ground_tools.campaign.sensed.scene import KINDS, MEETING_S, PASS_M, Cell
 from ground_tools.cli import main
+from ground_tools.common import table_file
+from ground_tools.common.sources import ROOT
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -89,3 +92,26 @@ def test_the_command_keeps_what_it_flew(tmp_path, capsys):
 def test_names_of_groups_and_wrong_numbers(capsys):
     assert main(["campaign", "sensed", "--range", "2", "--kind", "unheard"]) == 2
     assert "range_m" in capsys.readouterr().err
+
+
+def test_the_page_shows_the_kept_flights():
+    kept = table_file.read(ROOT / "results" / "campaign" / "sensed.json", cells.Table)
+    assert kept.seeds == (1, 1000)
+    page = (ROOT / "docs" / "sensed-results.md").read_text()
+    for line in cells.markdown({x.cell: x.found for x in kept.lines}).splitlines()[2:6]:
+        assert line in page
+
+
+def test_a_sample_of_a_kept_table_names_what_differs(tmp_path):
+    file = tmp_path / "sensed.json"
+    words = ["campaign", "sensed", "--kind", "pole", "--seeds", "1-2", "--processes", "1"]
+    assert main([*words, "--file", str(file)]) == 0
+    assert cells.sample(file) == []
+    (line,) = table_file.read(file, cells.Table).lines
+    other = replace(line, first=replace(line.first, separation_m=9.0))
+    table_file.write(file, cells.Table(software="", seeds=(1, 2), lines=(other,)))
+    assert cells.sample(file) == [
+        f"pole at 40 m, seed 1: least separation 9 m, now {line.first.separation_m:g} m"
+    ]
+    table_file.write(file, cells.Table(software="", seeds=(1, 3), lines=(line,)))
+    assert cells.sample(file) == ["pole at 40 m: 2 flights; seeds (1, 3) are 3"]
