@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from importlib import import_module
+from types import SimpleNamespace
 
 import pytest
 
@@ -91,6 +92,16 @@ def test_a_target_is_shown_beside_the_figure(capsys, measured, bounds, verdict):
     shown = capsys.readouterr().out
     assert shown.endswith(f": {verdict}\n")
     assert f"{measured:g}" in shown
+
+
+@pytest.mark.parametrize(("most", "code"), [(1.0, 0), (0.9, 1)])
+def test_a_missed_target_is_an_exit_code(monkeypatch, most, code):
+    bench = SimpleNamespace(main=lambda: figures.target("a figure", 1.0, "MB", most=most), __doc__="A bench.")
+    monkeypatch.setattr(figures.Missed, "count", 0)
+    monkeypatch.setattr(__main__, "import_module", lambda name: bench)
+    monkeypatch.setattr(__main__, "reference_s", lambda: 0.05)
+    monkeypatch.setattr(sys, "argv", ["bench", "links"])
+    assert __main__.main() == code
 
 
 def test_the_peak_of_a_process_is_its_own():
