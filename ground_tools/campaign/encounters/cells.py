@@ -29,8 +29,10 @@ from ground_tools.common.kept_lines import Kept
 
 Own = Literal["hover", "5", "10", "15"]
 Altitude = Literal["geometric", "pressure", "barometric", "unheard"]
+Taken = Literal["crewed", "small"]
 OWN: Final[tuple[Own, ...]] = get_args(Own)
 ALTITUDES: Final[tuple[Altitude, ...]] = get_args(Altitude)
+TAKEN: Final[tuple[Taken, ...]] = get_args(Taken)
 WORLD: Final = World(end_s=float(pairing.DURATION_S), delay_s=(0.2, 1.0), floor_m=20.0, ceiling_m=150.0)
 """The campaign's world, between 20 and 150 m above ground."""
 SPEED_MPS: Final[dict[Own, float]] = {"hover": 0.0, "5": 5.0, "10": 10.0, "15": 15.0}
@@ -59,6 +61,9 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     altitude: Altitude = "geometric"
     """Altitude that the crewed aircraft sends. pressure: pressure altitude, and we know our own. barometric:
     pressure altitude, and we do not know our own. unheard: it sends nothing."""
+    taken: Taken = "crewed"
+    """What the law takes it for. small: a small aircraft, as all traffic that only Remote ID or a sensor
+    aboard tells of."""
     horizontal_m: Annotated[float, Meta(gt=0)] = AvoidanceConfig().crewed_horizontal_m
     """Separation from crewed traffic that the law keeps."""
     vertical_m: Annotated[float, Meta(gt=0)] = AvoidanceConfig().crewed_vertical_m
@@ -134,7 +139,7 @@ def draw(cell: Cell, model: Model, seed: int) -> pairing.Encounter:
 
 def warm_up() -> None:
     """Compile the code of a flight, or load it from the cache."""
-    still, received = np.zeros((2, 3)), flight.Received(flight.UNHEARD, 1.0, 0.0)
+    still, received = np.zeros((2, 3)), flight.Received(flight.UNHEARD, 1.0, 0.0, 1.0)
     path = Trajectory([0.0, 1.0], [(0.0, 0.0, -80.0)] * 2)
     law = settings_of(AvoidanceConfig(), LimitsConfig(), path)
     conditions = WORLD.conditions(AvoidanceConfig().period_s)
@@ -157,7 +162,9 @@ def flown(cell: Cell, encounter: pairing.Encounter, seed: int, *, avoids: bool) 
         own,
         (encounter.position, encounter.velocity),
         law if avoids else law._replace(law=k.NONE),
-        flight.Received(_RECEIVED[cell.altitude], float(cell.range_m), float(error)),
+        flight.Received(
+            _RECEIVED[cell.altitude], float(cell.range_m), float(error), float(cell.taken == "crewed")
+        ),
         area_around([(float(n), float(e)) for n, e, _ in encounter.own_points], side_m),
     )
 

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from companion.errors import ConfigError
 from ground_tools.campaign.encounters import cells, pairing, report, table
-from ground_tools.campaign.encounters.cells import ALTITUDES, OWN, Cell, Row
+from ground_tools.campaign.encounters.cells import ALTITUDES, OWN, TAKEN, Cell, Row
 from ground_tools.campaign.encounters.model import Model, read
 from ground_tools.channel import options
 from ground_tools.common import table_file
@@ -46,15 +46,18 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         help="altitudes that the crewed aircraft sends by ADS-B; pressure: its pressure altitude, and ours "
         "is known; barometric: the same, and ours is not known; unheard: it sends nothing (default: "
         "geometric)")  # fmt: skip
+    add("--as", dest="taken", choices=TAKEN, default="crewed",
+        help="what the law takes the crewed aircraft for; small: a small aircraft, as all traffic that only "
+        "Remote ID or a sensor aboard tells of (default: crewed, as by ADS-B)")  # fmt: skip
     separations = Cell(model="", digest="")
     add("--separation", type=float, nargs=2, metavar=("H", "V"),
         default=(separations.horizontal_m, separations.vertical_m),
         help="avoidance.crewed_horizontal_m and crewed_vertical_m of the law (default: "
         f"{separations.horizontal_m:g} {separations.vertical_m:g})")  # fmt: skip
     add("--loss", type=float, default=0.0, metavar="SHARE",
-        help="share of ADS-B messages that are lost, 0 to 1 (default: 0)")  # fmt: skip
+        help="share of its messages that are lost, 0 to 1 (default: 0)")  # fmt: skip
     add("--range", type=float, nargs="+", default=[separations.range_m], metavar="M",
-        help=f"distances within which ADS-B is received (default: {separations.range_m:g})")  # fmt: skip
+        help=f"distances within which it is received or seen (default: {separations.range_m:g})")  # fmt: skip
     add("--window", type=float, nargs=2, metavar=("H", "V"),
         default=(separations.aside_m, separations.height_m),
         help="the crewed aircraft passes within these distances to the side and in height, m (default: "
@@ -181,6 +184,7 @@ def _cells(args: argparse.Namespace) -> dict[Cell, Model]:
             digest=model.digest,
             own=own,
             altitude=altitude,
+            taken=args.taken,
             horizontal_m=horizontal,
             vertical_m=vertical,
             loss=args.loss,

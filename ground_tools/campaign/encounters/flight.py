@@ -2,7 +2,7 @@
 
 The decision is `companion.avoidance.kernels.decide`, the same that the companion makes in flight; motion and
 messages are those of the campaign (`vehicles`). The crewed aircraft follows its track exactly and never
-reacts. It is received by ADS-B, once a second.
+reacts. It is received once a second, by ADS-B unless `Received.crewed` is 0.
 """
 
 from __future__ import annotations
@@ -47,6 +47,9 @@ class Received(NamedTuple):
     height_error_m: float
     """For PRESSURE: error of the difference of both pressure altitudes; positive if the crewed aircraft seems
     too high."""
+    crewed: float = 1.0
+    """1: the law takes it for crewed. 0: for a small aircraft, as all traffic that only Remote ID or a sensor
+    aboard tells of."""
 
 
 # Entries of `result`.
@@ -133,7 +136,7 @@ def _fly(
         if tick % every == 0:
             own = _own(world, now, craft)
             # Not literals: numba would compile the whole law once more for each literal value.
-            count = int(np.int64(_look(now, received, own.position.d, heard, neighbours)))
+            count = int(np.int64(_look(now, world, received, own.position.d, heard, neighbours)))
             decision = k.decide(neighbours, count, own, path, fence, settings, state, history, work)
             state = decision.state
             for c, wanted in enumerate(decision.chosen):
@@ -193,9 +196,11 @@ def _receive(now: float, craft: Fleet, heard: Floats) -> None:
 
 
 @compiled(inline="always")
-def _look(now: float, received: Received, own_down_m: float, heard: Floats, neighbours: Floats) -> int:
-    """Write the crewed aircraft to the law's table, as `companion.traffic.adsb` passes it on. Returns the
-    number of rows."""
+def _look(
+    now: float, world: Conditions, received: Received, own_down_m: float, heard: Floats, neighbours: Floats
+) -> int:
+    """Write the crewed aircraft to the law's table, as `companion.traffic` passes it on. Returns the number
+    of rows."""
     age = now - heard[M_TIME]
     if age > adsb.EXPIRE_S:
         return 0
@@ -203,11 +208,15 @@ def _look(now: float, received: Received, own_down_m: float, heard: Floats, neig
     sigma_down = adsb.SIGMA_DOWN_M if received.kind == GEOMETRIC else adsb.PRESSURE_SIGMA_M
     down = p[2] - received.height_error_m if received.kind == PRESSURE else p[2]
     known = received.kind != BAROMETRIC or abs(down - own_down_m) > adsb.BAROMETRIC_M
+    if received.crewed:
+        sigma, sigma_mps = adsb.SIGMA_M, adsb.SIGMA_MPS
+    else:
+        sigma, sigma_mps, sigma_down = world.declared_m, world.sigma_mps, 0.0
     k.put_other(
         neighbours, 0,
         k.Other(
-            p[0], p[1], down, v[0], v[1], v[2], max(age, 0.0), adsb.SIGMA_M, adsb.SIGMA_MPS,
-            0.0, 0.0, CREWED_SHARE, 1.0 if known else 0.0, 1.0, 0.0, heard[-1], sigma_down, 0.0, 0.0,
+            p[0], p[1], down, v[0], v[1], v[2], max(age, 0.0), sigma, sigma_mps, 0.0, 0.0,
+            CREWED_SHARE, 1.0 if known else 0.0, received.crewed, 0.0, heard[-1], sigma_down, 0.0, 0.0,
         ),
     )  # fmt: skip
     return 1

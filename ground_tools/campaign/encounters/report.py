@@ -68,6 +68,7 @@ def summary(cell: Cell, rows: Sequence[Row]) -> dict[str, Any]:
 def lines(cell: Cell, found: dict[str, Any]) -> list[str]:
     """The results as text."""
     heard = "not heard" if cell.altitude == "unheard" else f"heard with {cell.altitude} altitude"
+    heard += ", taken for a small aircraft" if cell.taken == "small" else ""
     own = "hovering" if cell.own == "hover" else f"at {cell.own} m/s"
     r = found
     said = [

@@ -82,7 +82,7 @@ def sample(path: Path) -> list[str]:
 def markdown(lines: Sequence[Line]) -> str:
     """The table as Markdown, one line for each cell."""
     columns: dict[str, Callable[[Line], str]] = {
-        "intruder": lambda x: x.cell.model,
+        "intruder": lambda x: x.cell.model + ("" if x.cell.taken == "crewed" else ", taken for small"),
         "own, m/s": lambda x: x.cell.own,
         "altitude": lambda x: x.cell.altitude,
         "heard within, km": lambda x: f"{x.cell.range_m / 1000.0:g}",

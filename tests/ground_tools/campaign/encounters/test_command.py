@@ -64,6 +64,15 @@ def test_unheard_aircraft_are_not_avoided(capsys):
     assert lost["alerts"] == far["alerts"] == 0
 
 
+def test_one_that_is_taken_for_a_small_aircraft_is_avoided_by_metres_only(capsys):
+    """It is seen, and the volumes of crewed traffic are far wider than what is kept."""
+    small = run(capsys, "--seeds", "1-40", "--as", "small")
+    assert small["nmac"] == small["nmac_unavoided"] > 0
+    assert small["lowc_ratio"] == 1.0
+    assert small["alerts"] > 0
+    assert small["deviation_max_m"] < 30.0
+
+
 def test_a_wider_window_holds_encounters_that_stay_well_clear(capsys):
     found = run(capsys, "--seeds", "1-40", "--window", "1400", "140")
     assert 0 < found["lowc_unavoided"] < 40
