@@ -1,7 +1,8 @@
 """A run converted to a recording, figures and a report: CPU time, size and memory.
 
 A run of 500 s with 5 aircraft is read, written and verified. A run ten times as long should need hardly more
-memory. Each memory figure is the peak of a separate process (`bench.measuring.memory`).
+memory. Onboard logs of a gigabyte, which repeat a short flight, are read too. Each memory figure is the peak
+of a separate process (`bench.measuring.memory`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import msgspec
 
+from bench.commands import big_log
 from bench.measuring.figures import target
 from companion import event_record
 from companion.config import Config
@@ -22,11 +24,15 @@ from companion.event_record import Header, Step
 from companion.events import AnyEvent, VehicleTime
 from sitl_mocks.encounters import scenario_file
 from sitl_mocks.encounters.lockstep import fly
+from tests.support import onboard_logs
 
 LONGER = 10
 MOST_S, MOST_MB, MOST_FACTOR = 10.0, 50.0, 1.2
 """Targets: CPU time to write and verify a recording, its size, and the memory of the longer run as a multiple
 of the shorter run's."""
+LOG_MB, MOST_LOG_MB = 1074, 400.0
+"""Size of an onboard log, and target of the memory that it needs."""
+LOGS = {"copter.bin": onboard_logs.sampled_copter, "px4.ulg": onboard_logs.sampled_px4}
 KINDS = ("recording", "summary", "report")
 
 
@@ -114,6 +120,22 @@ def main() -> None:
         for kind, (first, other) in peaks.items():
             what = f"peak memory of the {kind}, {LONGER} times as long a run"
             target(what, other / first, "times that of the short run", most=MOST_FACTOR)
+        for name, write in LOGS.items():
+            log = Path(scratch) / name
+            big_log.main(str(write(log.with_stem("flight"))), str(log), str(LOG_MB))
+            for kind in ("summary", "report"):
+                command = (
+                    sys.executable,
+                    "-m",
+                    "bench.commands.convert_run",
+                    kind,
+                    log,
+                    log.with_suffix(".html"),
+                )
+                took, printed = cpu_s(*command)
+                print(f"{kind:17}{log.stat().st_size / 1e6:14.1f}{took:8.1f}{'':14}{float(printed):11.0f}")
+                target(f"peak memory of the {kind}, {name}", float(printed), "MB", most=MOST_LOG_MB)
+            log.unlink()
 
 
 if __name__ == "__main__":

@@ -115,6 +115,8 @@ def test_every_command_of_the_docs_is_tried_in_an_empty_environment_or_known_to_
 HERE = {
     "my.toml",
     "companion.toml",
+    "watch.toml",
+    "guard.toml",
     "capture.pcapng",
     "super8.scn",
     "wall.scn",

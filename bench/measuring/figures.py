@@ -39,14 +39,21 @@ def reference_s() -> float:
     return least_cpu_s(loop, _REFERENCE_PIECES) / _REFERENCE_LOOPS * 1e6
 
 
+class Missed:
+    """Number of targets that this process has missed."""
+
+    count = 0
+
+
 def target(
     what: str, measured: float, unit: str, *, most: float | None = None, least: float | None = None
 ) -> None:
-    """Print a line with a figure and its target: at most `most`, or at least `least`."""
+    """Print a line with a figure and its target: at most `most`, or at least `least`. Count a missed one."""
     if most is not None:
         asked, met = f"at most {most:,g}", measured <= most
     else:
         assert least is not None
         asked, met = f"at least {least:,g}", measured >= least
+    Missed.count += not met
     shown = f"{measured:,.0f}" if measured >= 1000.0 else f"{measured:.3g}"
     print(f"target: {what}: {asked} {unit}; measured {shown}: {'met' if met else 'NOT MET'}")

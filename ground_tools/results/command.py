@@ -116,7 +116,7 @@ def _refusal(entry: Entry, *, made: bool) -> str | None:
     if not made and record is not None and record.content not in (None, provenance.content_of(entry.path)):
         return f"{_WORDS['edited']}; --made says that today's software made the whole file"
     try:
-        return next(iter(entry.remake(entry.path)), None)
+        return next(iter(entry.differences()), None)
     except provenance.CannotSampleError as why:
         return None if made else f"no sample of it can be made: {why}"
 
@@ -157,7 +157,7 @@ def status_of(entry: Entry, *, sample: bool) -> tuple[Status, list[str]]:
     notes: list[str] = []
     if sample:
         try:
-            differences = entry.remake(entry.path)
+            differences = entry.differences()
         except provenance.CannotSampleError as why:
             notes = [f"no sample was made: {why}"]
         else:

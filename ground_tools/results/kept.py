@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
@@ -44,6 +45,17 @@ class Entry:
     def now(self) -> Provenance:
         """The record that the file would have if the present software made it."""
         return provenance.now(self.command, self.roots, self.data, self.packages)
+
+    def differences(self) -> list[str]:
+        """Make a sample of the file again. Returns the differences from the file, as text.
+
+        Raises:
+            CannotSampleError: a package or a file is missing.
+        """
+        missing = next((package for package in self.packages if find_spec(package) is None), None)
+        if missing is not None:
+            raise provenance.CannotSampleError(f"{missing} is not installed")
+        return self.remake(self.path)
 
 
 def _campaign(path: Path) -> list[str]:

@@ -323,7 +323,7 @@ def _start_companion(
         vehicle=msgspec.structs.replace(config.vehicle, link=link),
         flight=msgspec.structs.replace(config.flight, start_utc_s=start_utc_s, start_within_m=near_m),
         radio=(EtherRadio(address=radio),),
-        record=RecordConfig(folder=str(swarm.folder), name=name),
+        record=RecordConfig(folder=str(swarm.folder.absolute()), name=name),
     )
     file = swarm.folder / f"{name}.toml"
     file.write_bytes(configuration.dump(config))

@@ -8,10 +8,10 @@ value() {
     sed -n "s/^$1=//p" "$unit"
 }
 install -d -o dmuca -g dmuca -m 750 /run/dmuca
-# As systemd does it: after the unit's Environment=, the folder of RuntimeDirectory=.
+# As systemd does it: after the unit's Environment=, the folders of StateDirectory= and RuntimeDirectory=.
 # shellcheck disable=SC2046 # words are meant
 set -- setpriv --reuid dmuca --regid dmuca --groups "dmuca,$(value SupplementaryGroups)" \
-    env $(value Environment) RUNTIME_DIRECTORY=/run/dmuca HOME=/var/lib/dmuca
+    env $(value Environment) "STATE_DIRECTORY=/var/lib/$(value StateDirectory)" RUNTIME_DIRECTORY=/run/dmuca HOME=/var/lib/dmuca
 
 companion init --px4 --radio ether=127.0.0.1:14640 --region us --uas-id 1596B0000DMUCA77 --out /etc/dmuca/companion.toml
 chown root:dmuca /etc/dmuca/companion.toml

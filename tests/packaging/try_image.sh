@@ -6,7 +6,10 @@
 #
 # It needs docker with its daemon, or podman as root, and exits with 77 without them. BASE=trixie takes a base image
 # made here from Debian's packages (mmdebstrap) instead of the one that the Dockerfile names, where no registry of
-# images can be reached. CONTAINER_OPTIONS go before the command, RUN_OPTIONS after `run`.
+# images can be reached. CONTAINER_OPTIONS go before the command, BUILD_OPTIONS after `build`, RUN_OPTIONS after `run`.
+# Podman in a container of its own, with both versions of cgroups and without systemd, needed:
+#   CONTAINER_OPTIONS="--cgroup-manager=cgroupfs --runtime=runc" BUILD_OPTIONS=--isolation=chroot
+#   RUN_OPTIONS="--ulimit nofile=1024:1024 --ulimit nproc=1000:1000"
 set -eu
 
 here=$(cd "$(dirname "$0")" && pwd)

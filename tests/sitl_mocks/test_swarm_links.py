@@ -1,4 +1,4 @@
-"""The router's end of a companion's link: a TCP stream that is half-open, and one that is read slowly."""
+"""The router's end of a companion's link, and the configuration that a companion of the swarm is given."""
 
 from __future__ import annotations
 
@@ -7,10 +7,15 @@ import select
 import selectors
 import socket
 import struct
+from pathlib import Path
 
 import pytest
 
+from companion import config as configuration
 from companion.runtime.links.unsent import unsent_bytes
+from sitl_mocks.encounters import swarm
+from sitl_mocks.encounters.lockstep import paths_of
+from sitl_mocks.encounters.scenario_file import DEFAULT
 from sitl_mocks.examinations.modelled_link import Weather
 from sitl_mocks.examinations.processes.companion_ends import TcpEnd
 from tests.support.waiting import until
@@ -94,3 +99,16 @@ def test_time_in_a_slow_far_end_is_told_apart_from_time_in_the_companion(end):
         assert rest.at_s + rest.waited_s == pytest.approx(12.0)
         assert len(first[0].data) == pytest.approx(16, abs=1)  # 800 bytes a second for 0.02 s
         assert len(first[0].data) + len(rest.data) == 100
+
+
+def test_companions_record_in_the_run_folder_also_where_its_path_is_relative(tmp_path, monkeypatch):
+    """A relative `record.folder` would be relative to the configuration, which is in the run folder."""
+    monkeypatch.chdir(tmp_path)
+    folder = Path("runs/one")
+    folder.mkdir(parents=True)
+    monkeypatch.setattr(swarm.Swarm, "start", lambda *arguments, **options: None)
+    swarm._start_companion(
+        swarm.Swarm(folder), swarm.Plan(DEFAULT, 1, 60.0, (0,), {}), "DMUCA001", paths_of(DEFAULT, 1)[0],
+        "udpout:127.0.0.1:14540", "127.0.0.1:14640", 1e9,
+    )  # fmt: skip
+    assert Path(configuration.load(folder / "DMUCA001.toml").record.folder) == tmp_path / folder

@@ -6,9 +6,11 @@ Each flight has ten positions per second and goes north at 5 m/s from `PLACE`, a
 from __future__ import annotations
 
 import math
+import struct
 from pathlib import Path
 
-from tests.support.dataflash_writer import DataFlashWriter
+from bench.commands import big_log
+from tests.support.dataflash_writer import HEAD, DataFlashWriter
 from tests.support.ulog_writer import UlogWriter
 
 PLACE = (47.0, 8.5)
@@ -20,6 +22,8 @@ UTC_S = 1_767_225_600.0
 """UTC (Unix seconds) when the vehicle started: 2026-01-01."""
 GPS_EPOCH_S, LEAP_S = 315_964_800, 18
 SECONDS = 20
+SAMPLES_BYTES = 750_000
+"""Size of the samples of sensors, of which most of a real log consists and which are not read."""
 ICAO = 0x4B1234
 
 
@@ -133,6 +137,17 @@ def damaged_copter(path: Path) -> Path:
     return path
 
 
+def sampled_copter(path: Path) -> Path:
+    """The copter's log with samples of its sensors."""
+    columns = b"TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"
+    layout = "<QB6f"
+    about = struct.pack("<BB4s16s64s", 250, 3 + struct.calcsize(layout), b"IMU", b"QBffffff", columns)
+    sample = HEAD + bytes([250]) + struct.pack(layout, 1_000, 0, *[0.1] * 6)
+    with copter(path).open("ab") as log:
+        log.write(HEAD + bytes([128]) + about + sample * (SAMPLES_BYTES // len(sample)))
+    return path
+
+
 GLOBAL = "uint64_t timestamp;uint64_t timestamp_sample;double lat;double lon;float alt;float alt_ellipsoid;"
 GLOBAL += "bool lat_lon_valid;bool alt_valid;uint8_t[6] _padding0;"
 LOCAL = "uint64_t timestamp;bool xy_valid;bool v_xy_valid;float x;float y;float z;float vx;float vy;float vz;"
@@ -234,6 +249,20 @@ def px4(path: Path) -> Path:
             )  # fmt: skip
     log.dropout(62)
     return log.save(path)
+
+
+def sampled_px4(path: Path) -> Path:
+    """The multicopter's log with samples of its sensors."""
+    topic, sample = UlogWriter(0), UlogWriter(0)
+    topic.content = sample.content = b""
+    topic.message("F", b"sensor_combined:uint64_t timestamp;float[6] rates;")
+    topic.message("A", struct.pack("<BH", 0, 200) + b"sensor_combined")
+    sample.message("D", struct.pack("<HQ6f", 200, 2_000_000, *[0.1] * 6))
+    data = px4(path).read_bytes()
+    first, _, _ = big_log.stamps_of_ulog(data)
+    samples = sample.content * (SAMPLES_BYTES // len(sample.content))
+    path.write_bytes(data[:first] + topic.content + data[first:] + samples)
+    return path
 
 
 def old_px4(path: Path, *, damaged: bool = True) -> Path:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 from typing import Final
 
+from companion import __version__
+from companion.commands import bench_test
+from companion.events import Firmware
 from companion.remote_id.captures.radiotap import build_radiotap
+from sitl_mocks.examinations import soak
+from sitl_mocks.examinations.swarm import schedule as swarm_schedule
 from tests.fuzz.radio_targets import pcap
 from tests.fuzz.seeds import built
 from tests.support import encounter_models, onboard_logs
@@ -55,3 +61,36 @@ def write(folder: Path) -> None:
     (folder / "Flight_intention_very_low_40_8_W1.csv").write_text(meeting)
     for name in encounter_models.NAMES:
         shutil.copy(encounter_models.TINY, folder / f"{name}.txt")
+    _write_missions(folder)
+    _write_schedules(folder)
+    _write_evidence(folder / "first-flights.json")
+
+
+def _write_missions(folder: Path) -> None:
+    """Write a mission as QGroundControl and as Mission Planner save it."""
+    place = (47.397, 8.545, 30.0)
+    item = {"type": "SimpleItem", "command": 16, "frame": 3, "params": [0, 0, 0, None, *place]}
+    plan = {"fileType": "Plan", "version": 1, "mission": {"version": 2, "items": [item]}}
+    (folder / "survey.plan").write_text(json.dumps(plan))
+    rows = ("QGC WPL 110", "0 1 0 16 0 0 0 0 47.397 8.545 400 1", "1 0 3 16 0 0 0 0 47.398 8.545 30 1")
+    (folder / "survey.waypoints").write_text("\n".join((rows[0], *(r.replace(" ", "\t") for r in rows[1:]))))
+
+
+def _write_schedules(folder: Path) -> None:
+    """Write the schedules of faults of a short soak and of one aircraft of a swarm."""
+    short = soak.schedule_of(Firmware.PX4, "guard", 1, hours=0.02)
+    (folder / "soak-1-px4-guard.json").write_text(json.dumps(soak.to_file(short, None)))
+    one = swarm_schedule.to_file(swarm_schedule.draw(7, 2, 1, 10.0, "udp"))
+    (folder / "DMUCA002.faults.json").write_text(json.dumps({"schedule": one}))
+
+
+def _write_evidence(path: Path) -> None:
+    """Write the evidence of an aircraft that has passed every stage of its first flights."""
+    attempts = tuple(
+        bench_test.Attempt(
+            stage=stage, passed=True, utc="", software=__version__, aircraft="1596B0000DMUCA01",
+            code_sha256=bench_test.code_sha256(), config="", config_sha256="", run=None, stated=(), checks=(),
+        )
+        for stage in bench_test.STAGES
+    )  # fmt: skip
+    bench_test.write_evidence(path, bench_test.Evidence(attempts=attempts))

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import msgspec
 
 from companion.adjustable_parameters import applied
-from companion.authority.table import HOLDING, State
+from companion.authority.table import HOLDING, State, Trigger
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.event_record import Step
@@ -166,7 +166,12 @@ class _Finder:
     def _renew(self) -> None:
         self._explainer.configure(self._config, self._vehicle, self._areas)
 
-    def _authority(self, event: AuthorityChanged) -> None:
+    def _authority(self, now_s: float, event: AuthorityChanged) -> None:
+        if event.trigger == Trigger.REGAINED.value and not self._guarded:
+            # The record may end before the next decision, which would show it, too.
+            for one in (self.open, self._closed):
+                if one is not None and one.deviation_m is not None and one.regained_s is None:
+                    one.regained_s = now_s
         held = event.state in _HOLDING
         self._guarded = held and (self._guarded or event.previous == State.WATCHING.value)
         self._watching = event.state == State.WATCHING.value
@@ -181,7 +186,7 @@ class _Finder:
             if isinstance(command, Decision):
                 yield from self._decision(step.now_s, command)
             elif isinstance(command, AuthorityChanged):
-                self._authority(command)
+                self._authority(step.now_s, command)
 
     def _take(self, item: object) -> None:
         match item:

@@ -171,12 +171,14 @@ def _nearest(near: Floats, ground: Floats, *, barometric: bool) -> dict[str, Any
 
     Args:
         near: (n, 4) as `nearness.Approaches.rows`.
-        ground: (m, 2) start and end of each span on the ground.
+        ground: (m, 2) start and end of each span on the ground, in the order of time.
         barometric: whether heights are barometric.
     """
     if not len(near):
         return None
-    stands = ((ground[:, 0] <= near[:, :1]) & (near[:, :1] <= ground[:, 1])).any(axis=1)
+    # Only the last span that has begun can contain a time. If there is none, -1 selects the end at -inf.
+    last = np.searchsorted(ground[:, 0], near[:, 0], side="right") - 1
+    stands = near[:, 0] <= np.append(ground[:, 1], -np.inf)[last]
     near = near if stands.all() else near[~stands]
     now_s, slant, aside, above = near[int(near[:, 1].argmin())].tolist()
     return {

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from companion.errors import ConfigError
 from ground_tools.inspect.command import read_all
 from ground_tools.inspect.explain import manoeuvres
+from ground_tools.inspect.explain.manoeuvres import Manoeuvre
 from ground_tools.inspect.export import incident, kml, mcap, rosbag, tables
-from ground_tools.inspect.read.flown import flown, separations
+from ground_tools.inspect.read.flown import Flown, Separation, flown, separations
+from ground_tools.inspect.read.read_run import Run
 from ground_tools.inspect.read.timeline import together
 
 EXAMPLE = (
@@ -18,7 +22,8 @@ EXAMPLE = (
     "          ground-tools export runs/20260101T000000Z-demo/unavoided --scenario incident.toml\n"
     "          sitl-mocks demo --scenario incident.toml --law dmuca"
 )
-Write = Callable[[Iterator[tables.Rows], tuple[str, ...], Path], int]
+WriteTable = Callable[[Iterator[tables.Rows], tuple[str, ...], Path], int]
+WriteMessages = Callable[[Run, Flown, list[Separation], Path], int]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,11 +57,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `ground-tools export`. Returns 0, or 2 if one of several inputs could not be read.
+    """Run `ground-tools export`. Every form that can be written is written.
+
+    Returns:
+        0, or 2 if one of several inputs could not be read, or one of several forms could not be written. The
+        errors of these are printed to standard error.
 
     Raises:
-        ConfigError: No input can be read, the run cannot be exported in the requested form, or a file cannot
-            be written.
+        ConfigError: No input can be read, or nothing can be written.
     """
     if not any((args.csv, args.parquet, args.kml, args.mcap, args.rosbag, args.scenario)):
         raise ConfigError(
@@ -67,43 +75,79 @@ def run(args: argparse.Namespace) -> int:
     runs = read_all(args.run_folder)
     whole = together(runs)
     ways = flown(whole)
-    pairs = separations(ways.paths)
     for problem in (*whole.problems, *ways.problems):
         print(f"problem: {problem}")
-    formats: list[tuple[Path | None, str, Write]] = [
-        (args.csv, "csv", tables.write_csv),
-        (args.parquet, "parquet", tables.write_parquet),
-    ]
-    done = (
-        {record.name: manoeuvres.find(record) for record in whole.aircraft}
-        if args.csv or args.parquet
-        else {}
-    )
-    for folder, ending, write in formats:
-        if folder is None:
-            continue
-        _make(folder)
-        for name, columns, blocks in (
-            ("tracks", tables.TRACK_COLUMNS, tables.tracks(whole, ways)),
-            ("encounters", tables.ENCOUNTER_COLUMNS, iter([tables.encounters(ways, pairs)])),
-            ("manoeuvres", tables.MANOEUVRE_COLUMNS, iter([tables.manoeuvres(ways, done)])),
-            ("alternatives", tables.ALTERNATIVE_COLUMNS, iter([tables.alternatives(ways, done)])),
+    forms = _forms(args, whole, ways)
+    skipped = 0
+    for write in forms:
+        try:
+            write()
+        except ConfigError as error:
+            if len(forms) == 1:
+                raise
+            print(f"skipped: {error}", file=sys.stderr)
+            skipped += 1
+    if skipped == len(forms):
+        raise ConfigError("none of the files can be written")
+    return 2 if skipped or len(runs) < len(args.run_folder) else 0
+
+
+def _forms(args: argparse.Namespace, run: Run, ways: Flown) -> list[Callable[[], None]]:
+    """Return what writes each form that is asked for, and tells so."""
+    pairs = separations(ways.paths)
+    forms: list[Callable[[], None]] = []
+    if args.csv or args.parquet:
+        done = {record.name: manoeuvres.find(record) for record in run.aircraft}
+        for folder, ending, write in (
+            (args.csv, "csv", tables.write_csv),
+            (args.parquet, "parquet", tables.write_parquet),
         ):
-            path = folder / f"{name}.{ending}"
-            print(f"wrote {path}: {write(blocks, columns, path)} rows")
+            if folder:
+                forms.append(partial(_tables, run, ways, pairs, done, folder, ending, write))
     if args.kml:
-        kml.write(whole, ways, pairs, args.kml)
-        print(f"wrote {args.kml}")
-    if args.mcap:
-        print(f"wrote {args.mcap}: {mcap.write(whole, ways, pairs, args.mcap)} messages")
-    if args.rosbag:
-        print(f"wrote {args.rosbag}: {rosbag.write(whole, ways, pairs, args.rosbag)} messages")
+        forms.append(partial(_kml, run, ways, pairs, args.kml))
+    for path, messages in ((args.mcap, mcap.write), (args.rosbag, rosbag.write)):
+        if path:
+            forms.append(partial(_messages, run, ways, pairs, path, messages))
     if args.scenario:
-        found = incident.planned_again(whole) if args.planned else incident.flown_again(whole, ways)
-        incident.write(found, args.scenario)
-        print("\n".join(found.words))
-        print(f"wrote {args.scenario}; fly it with: sitl-mocks demo --scenario {args.scenario}")
-    return 0 if len(runs) == len(args.run_folder) else 2
+        forms.append(partial(_scenario, run, ways, args.scenario, args.planned))
+    return forms
+
+
+def _tables(
+    run: Run,
+    ways: Flown,
+    pairs: list[Separation],
+    done: Mapping[str, Sequence[Manoeuvre]],
+    folder: Path,
+    ending: str,
+    write: WriteTable,
+) -> None:
+    _make(folder)
+    for name, columns, blocks in (
+        ("tracks", tables.TRACK_COLUMNS, tables.tracks(run, ways)),
+        ("encounters", tables.ENCOUNTER_COLUMNS, iter([tables.encounters(ways, pairs)])),
+        ("manoeuvres", tables.MANOEUVRE_COLUMNS, iter([tables.manoeuvres(ways, done)])),
+        ("alternatives", tables.ALTERNATIVE_COLUMNS, iter([tables.alternatives(ways, done)])),
+    ):
+        path = folder / f"{name}.{ending}"
+        print(f"wrote {path}: {write(blocks, columns, path)} rows")
+
+
+def _kml(run: Run, ways: Flown, pairs: list[Separation], path: Path) -> None:
+    kml.write(run, ways, pairs, path)
+    print(f"wrote {path}")
+
+
+def _messages(run: Run, ways: Flown, pairs: list[Separation], path: Path, write: WriteMessages) -> None:
+    print(f"wrote {path}: {write(run, ways, pairs, path)} messages")
+
+
+def _scenario(run: Run, ways: Flown, path: Path, planned: bool) -> None:
+    found = incident.planned_again(run) if planned else incident.flown_again(run, ways)
+    incident.write(found, path)
+    print("\n".join(found.words))
+    print(f"wrote {path}; fly it with: sitl-mocks demo --scenario {path}")
 
 
 def _make(folder: Path) -> None:

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 from companion.errors import ConfigError
 from companion.shipped import how_to_install
@@ -14,6 +14,9 @@ from ground_tools.inspect.export import foxglove, topics
 from ground_tools.inspect.read.flown import Flown, Separation
 from ground_tools.inspect.read.read_run import Run
 from ground_tools.inspect.viewer.palette import colour
+
+if TYPE_CHECKING:
+    from mcap.writer import Writer
 
 _LEVELS = {"INFO": 2, "WARN": 3, "ERROR": 4, "CRITICAL": 5}
 _NO_ROTATION = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
@@ -30,18 +33,17 @@ def write(run: Run, ways: Flown, pairs: list[Separation], path: Path) -> int:
         ConfigError: mcap is not installed, or the file cannot be written.
     """
     try:
+        from mcap.writer import Writer
+    except ImportError as error:
+        raise ConfigError(how_to_install("mcap", "inspect")) from error
+    try:
         with path.open("wb") as stream:
-            return _write(run, ways, pairs, stream)
+            return _write(run, ways, pairs, Writer(stream))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _write(run: Run, ways: Flown, pairs: list[Separation], stream: BinaryIO) -> int:
-    try:
-        from mcap.writer import Writer
-    except ImportError as error:
-        raise ConfigError(how_to_install("mcap", "inspect")) from error
-    writer = Writer(stream)
+def _write(run: Run, ways: Flown, pairs: list[Separation], writer: Writer) -> int:
     writer.start(profile="", library="dmuca")
     schemas: dict[str, int] = {}
     channels: dict[str, int] = {}

@@ -127,6 +127,15 @@ def test_a_record_after_a_sample_says_so(some):
     assert provenance.read(entry.path).evidence == "sample"
 
 
+def test_without_a_package_that_made_it_no_sample_is_made(some, monkeypatch, capsys):
+    """An installed copy has neither torch nor the library of the cross-check."""
+    entry, _ = some
+    monkeypatch.setattr(kept, "entries", lambda: [replace(entry, packages=("numpy", "no_such_package"))])
+    code, out = verify(capsys, "--sample")
+    assert code == 1
+    assert out.splitlines()[1] == "    no sample was made: no_such_package is not installed"
+
+
 def test_without_a_sample_the_record_decides_and_none_is_written(some, monkeypatch, capsys):
     """A sample may need a library or files that are not part of the project."""
     entry, _ = some

@@ -123,6 +123,17 @@ def test_the_way_back_counts_until_the_path_is_regained(tmp_path: Path) -> None:
     assert "back on it 6.8 s after the manoeuvre" in found.came
 
 
+def test_the_companion_says_that_the_path_is_regained_before_the_next_decision(tmp_path: Path) -> None:
+    """A record that ends then has no decision near the path."""
+    away = {"path_ned_m": (0.0, 20.0, -50.0)}
+    steps = [step(k / 5, decision(track(), chosen=RIGHT, **away)) for k in range(20)]
+    steps += [step(4.0 + k / 5, decision(track(conflict=False, active=False), **away)) for k in range(20)]
+    for state, trigger, regained_s in (("guarding", "regained", 8.0), ("standby", "pilot", None)):
+        changed = AuthorityChanged(previous="recovering", state=state, trigger=trigger, reason="")
+        (found,) = find(read(tmp_path / trigger, CONFIG, [*steps, step(8.0, changed)]))
+        assert found.regained_s == regained_s
+
+
 def test_unknown_numbers_are_left_out(tmp_path: Path) -> None:
     (one,) = find(flown(tmp_path, (5.0, 8.0)))
     assert one.deviation_m is None

@@ -7,9 +7,11 @@ import json
 import math
 import shutil
 import struct
+import tracemalloc
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -18,6 +20,7 @@ from companion.config import Config, FlightConfig, IdentityConfig
 from companion.event_record import Step
 from companion.events import AdsbVehicle, AuthorityChanged, GnssFix, Landed, LandedState, RemoteIdHeard
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
+from ground_tools.inspect.explain import traffic
 from ground_tools.inspect.export import tables
 from ground_tools.inspect.read import nearness
 from ground_tools.inspect.read.flown import flown
@@ -213,6 +216,32 @@ def test_of_too_many_remote_id_addresses_the_nearest_are_kept(tmp_path, monkeypa
     blocks = tables.tracks(run, flown(run))
     heard_names = {name for block in blocks for name in block["name"]}
     assert {"NEAR", "02:FAR5"} <= heard_names
+
+
+@pytest.mark.parametrize(
+    ("spans", "nearest_s"),
+    [
+        ((), 1.0),  # it flies throughout
+        (((1.0, 2.0),), 3.0),  # both ends of a span count as on the ground
+        (((0.0, 1.0), (1.0, 2.5), (2.9, math.inf)), None),  # it never flies, and the nearest one counts
+        (((0.0, 1.5), (2.5, 3.0)), 2.0),
+    ],
+)
+def test_the_nearest_in_flight_counts(spans, nearest_s):
+    near = np.array([[1.0, 10.0, 10.0, 0.0], [2.0, 30.0, 30.0, 0.0], [3.0, 20.0, 20.0, 0.0]])
+    found = traffic._nearest(near, np.array(spans).reshape(-1, 2), barometric=False)
+    assert found["time_s"] == (1.0 if nearest_s is None else nearest_s)
+
+
+def test_thousands_of_flights_with_traffic_need_little_memory():
+    """A table of all times and all spans is 40 MB, and was made twice."""
+    near = np.column_stack([np.arange(20_000.0), *np.ones((3, 20_000))])
+    ground = np.arange(0.0, 20_000.0, 5.0).reshape(-1, 2)
+    tracemalloc.start()
+    traffic._nearest(near, ground, barometric=False)
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak_bytes < 4e6
 
 
 def test_without_own_positions_distances_are_unknown(tmp_path):

@@ -320,6 +320,34 @@ def test_a_run_without_utc_has_no_kml(tmp_path: Path, made: SimpleNamespace) -> 
     assert {row["time_utc"] for row in rows(tmp_path / "tracks.csv")} == {""}
 
 
+def test_a_form_that_cannot_be_written_leaves_the_others(
+    tmp_path: Path, made: SimpleNamespace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without UTC there is no KML, and without a second aircraft no scenario; one exit code tells of both."""
+    run = tmp_path / "run"
+    run.mkdir()
+    made.write_events(run, "a", made.steps(made.northbound, made.eastbound(20.0), utc=False))
+    kml = ("--kml", tmp_path / "x.kml")
+    scenario = ("--scenario", tmp_path / "x.toml")
+    others = ("--csv", tmp_path, "--mcap", tmp_path / "x.mcap", "--rosbag", tmp_path / "bag")
+    assert run_export(run, *kml, *scenario, *others) == 2
+    printed = capsys.readouterr()
+    skipped = printed.err.splitlines()
+    assert [line.split(":")[0] for line in skipped] == ["skipped", "skipped"]
+    assert "KML needs UTC" in skipped[0]
+    assert "a scenario needs a pair" in skipped[1]
+    assert rows(tmp_path / "tracks.csv")
+    assert mcap_messages(tmp_path / "x.mcap")
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert reader.message_count
+    for path in ("tracks.csv", "x.mcap", "bag"):
+        assert f"wrote {tmp_path / path}: " in printed.out
+    assert not (tmp_path / "x.kml").exists()
+    assert not (tmp_path / "x.toml").exists()
+    with pytest.raises(ConfigError, match="none of the files can be written"):
+        run_export(run, *kml, *scenario)
+
+
 @pytest.mark.parametrize("option", ["--csv", "--kml", "--scenario"])
 def test_unwritable_files_are_reported(run_folder: Path, tmp_path: Path, option: str) -> None:
     (tmp_path / "file").write_text("")

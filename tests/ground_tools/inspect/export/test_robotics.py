@@ -196,6 +196,7 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ConfigError, match=rf"{module.partition('.')[0]} is not installed.*inspect"):
         writer.write(*flight, tmp_path / "x")
+    assert not (tmp_path / "x").exists()
 
 
 def test_what_cannot_be_written_is_one_clear_line(tmp_path: Path, flight):
