@@ -2,30 +2,37 @@
 
 `flying_policy` with two differences. Its fleets are cut-outs of a city, and the cost of messages is not the
 age of information alone. Old information costs room, because the law's volumes grow with its age. An aircraft
-that is not known costs no room, but a loss of separation if both meet soon.
+that is not known costs no room, but a loss of separation if both meet soon. Training begins with the weights
+of the policy that is shipped.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import torch
 from torch import Tensor
 
 from companion.atmc.actions import SET_ACTIONS
+from companion.atmc.policy_file import read
 from companion.atmc.rule import FIXED_SETS
 from companion.avoidance.kernels.neighbours import KEPT_S
+from companion.shipped import shipped
 from ground_tools.atmc.env.channel import Packets, TorchChannel
 from ground_tools.atmc.env.deciders import Decider, settle
 from ground_tools.atmc.env.environment import Env, EnvSettings
 from ground_tools.atmc.env.objective import Air, AwarenessObjective, costs
 from ground_tools.atmc.env.tasks import AWARENESS_CHANNEL
+from ground_tools.atmc.env.torch_setup import set_up_torch
 from ground_tools.atmc.env.world import MAX_SPEED_MPS, World, WorldSettings
 from ground_tools.atmc.learners.flying_policy import FlyingLearner, FlyingSettings
 from sitl_mocks.channel.parameters import MODES
 
+BEGINS_WITH: Final = "config/policies/atmc.safetensors"
 UNHEARD_S: Final = 60.0
 """Cost of a pair that is about to meet and of which one does not know the other, as an age."""
 _SOON: Final = 4
@@ -141,7 +148,14 @@ def scaled(world: World, per_km2: Tensor) -> World:
 
 def city_settings() -> FlyingSettings:
     """The default settings."""
-    return FlyingSettings(fleets=CITY_FLEETS, episodes=60, updates=60, regret_limit_s=5.0, clip=125.0)
+    return FlyingSettings(
+        fleets=CITY_FLEETS,
+        episodes=40,
+        updates=60,
+        average=0.995,
+        regret_limit_s=5.0,
+        clip=125.0,
+    )
 
 
 class CityLearner(FlyingLearner):
@@ -151,12 +165,21 @@ class CityLearner(FlyingLearner):
         if settings.objective != "awareness":
             raise ValueError("a policy for a city chooses among sets of transports: objective awareness")
         super().__init__(settings, seed, device)
+        self.take(shipped(BEGINS_WITH))
         self._objective = city_objective(device)
         self._groups = [
             self._group(CityEnv(_SETTINGS, self._objective, fleets, aircraft, self._generator))
             for aircraft, fleets in settings.fleets
         ]
+        self._draws = torch.Generator(self._device)
         self._cases_s: list[tuple[Env, float]] = []
+
+    def take(self, path: Path) -> None:
+        """Take the weights of a policy file."""
+        _, tensors = read(path.read_bytes(), path.name)
+        weights = {name: torch.from_numpy(values.copy()) for name, values in tensors.items()}
+        for net in (self._net, self._average):
+            net.load_state_dict(weights)
 
     def _act(self, group: Any, acting: Tensor, greedy: Tensor, share: float) -> None:
         super()._act(group, acting, greedy, share)
@@ -165,11 +188,11 @@ class CityLearner(FlyingLearner):
     def validate(self) -> dict[str, float]:
         """See `Learner.validate`. "score" is the mean cost beyond that of the fixed set (%) over fleets that
         are the same every time."""
-        generator = torch.Generator(self._device).manual_seed(1_000_003)
+        draws = self._draws.manual_seed(1_000_003)
         if not self._cases_s:
-            self._cases_s = [self._case(*case, generator) for case in _CASES]
-        generator.manual_seed(1_000_003)
-        found = [100.0 * (_settled(env, self, generator) / cost_s - 1.0) for env, cost_s in self._cases_s]
+            self._cases_s = [self._case(*case, draws) for case in _CASES]
+            draws.manual_seed(1_000_003)
+        found = [100.0 * (_settled(env, self, draws) / cost_s - 1.0) for env, cost_s in self._cases_s]
         return {"score": sum(found) / len(found)}
 
     def _case(
@@ -187,3 +210,18 @@ def _settled(env: Env, decider: Decider, generator: torch.Generator) -> float:
     env.action = torch.full_like(env.action, _FIXED)
     last = settle(env, decider, 4, generator)[-4:]
     return float(torch.stack([cost.sum() for cost in last]).mean())
+
+
+def sample(path: Path) -> list[str]:
+    """Validate a kept policy again. Returns the differences, as text."""
+    set_up_torch()
+    metadata, _ = read(path.read_bytes(), path.name)
+    few = msgspec.structs.replace(city_settings(), fleets=((2, 1),))
+    learner = CityLearner(few, 1)
+    learner.take(path)
+    again = learner.validate()
+    return [
+        f"{name}: {value:g}, now {again[name]:g}"
+        for name, value in metadata.results.items()
+        if value != again[name]
+    ]

@@ -76,3 +76,8 @@ def test_a_resumed_run_is_the_uninterrupted_one_and_its_policy_can_be_read():
     data = second.frozen("city", second.validate())
     assert data == whole.frozen("city", whole.validate())
     assert load(data, "city").metadata.neighbours == 8
+
+
+def test_the_same_policy_has_the_same_validation_every_time():
+    learner = _learner()
+    assert learner.validate() == learner.validate()
