@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -209,8 +210,13 @@ def flights_for(city: City, avoidance: AvoidanceConfig, seed: int) -> Flights:
     return flights_of(wishes, avoidance)
 
 
-def simulation_of(city: City, seed: int) -> tuple[Simulation, list[AnalyticRadio]]:
+def simulation_of(
+    city: City, seed: int, choosing: Callable[[int], Chooser] | None = None
+) -> tuple[Simulation, list[AnalyticRadio]]:
     """A run that has not begun, and its radio, if there is one.
+
+    Args:
+        choosing: makes another chooser than that of `City.transports`, for a number of slots.
 
     Raises:
         ConfigError: a setting or a file cannot be used.
@@ -227,7 +233,7 @@ def simulation_of(city: City, seed: int) -> tuple[Simulation, list[AnalyticRadio
         reach_m = ranges_m(channel_of(city))
 
     def radio(slots: int, message_s: float) -> AnalyticRadio:
-        chooser = chooser_of(city, slots)
+        chooser = chooser_of(city, slots) if choosing is None else choosing(slots)
         radios.append(AnalyticRadio(channel_of(city), rates_of(city), chooser, slots, message_s, other_rng))
         return radios[0]
 
@@ -238,13 +244,16 @@ def simulation_of(city: City, seed: int) -> tuple[Simulation, list[AnalyticRadio
     return run, radios
 
 
-def fly(city: City, seed: int) -> tuple[Row, Result]:
+def fly(city: City, seed: int, choosing: Callable[[int], Chooser] | None = None) -> tuple[Row, Result]:
     """Fly one run. The same arguments give the same result, bit for bit.
+
+    Args:
+        choosing: as in `simulation_of`.
 
     Raises:
         ConfigError: a setting or a file cannot be used.
     """
-    run, radios = simulation_of(city, seed)
+    run, radios = simulation_of(city, seed, choosing)
     watch = Watch(run, radios)
     settled = math.ceil(min(city.settle_s, city.duration_s) / PART_S) * PART_S
     run.fly(settled)

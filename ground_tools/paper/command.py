@@ -22,6 +22,7 @@ from ground_tools.channel import options
 from ground_tools.common.progress import progress
 from ground_tools.paper import page
 from ground_tools.paper.city import command as city
+from ground_tools.paper.city import cutouts as city_policy
 from ground_tools.paper.city import separation as city_separation
 from ground_tools.paper.closed_loop import command as closed_loop
 from ground_tools.paper.figures import (
@@ -143,9 +144,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Compute the paper's figures with the channel model's equations and with simulated flights, and\n"
         "compare them with the paper's statements. A statement that does not hold is a result, not an\n"
-        f"error: the exit code is 0. {closed_loop.NAME}, {city.NAME} and {city_separation.NAME} are\n"
-        "experiments beyond the paper, with options of their own; they take hours, so that all does not\n"
-        "include them, and keep what is finished."
+        f"error: the exit code is 0. {closed_loop.NAME}, {city.NAME}, {city_separation.NAME} and\n"
+        f"{city_policy.NAME} are experiments beyond the paper, with options of their own; they take hours,\n"
+        "so that all does not include them, and keep what is finished."
     )
     parser.epilog = (
         "examples: ground-tools paper fixed-modes --samples 10000; "
@@ -164,6 +165,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     city.add_arguments(figures.add_parser(city.NAME, help=words))
     words = "the room that each method needs for the same safety in such a city"
     city_separation.add_arguments(figures.add_parser(city_separation.NAME, help=words))
+    words = "policies trained for a city, beside every fixed legal set, on cut-outs of it"
+    city_policy.add_arguments(figures.add_parser(city_policy.NAME, help=words))
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:

@@ -88,6 +88,18 @@ def _city(path: Path) -> list[str]:
     return runs.sample(path)
 
 
+def _city_policy(path: Path) -> list[str]:
+    from ground_tools.paper.city import cutouts
+
+    return cutouts.sample(path)
+
+
+def _city_learner(path: Path) -> list[str]:
+    from ground_tools.atmc.learners import city_policy
+
+    return city_policy.sample(path)
+
+
 def _training(path: Path) -> list[str]:
     from ground_tools.results import training_samples
 
@@ -199,11 +211,17 @@ def _flown() -> list[Entry]:
 def _cities() -> list[Entry]:
     from ground_tools.city.cells import ROOTS
     from ground_tools.city.spread import DATA
+    from ground_tools.paper.city import cutouts
     from ground_tools.paper.city.runs import COMMAND, PACKAGES, SEPARATION_COMMAND
 
+    name = "results/city-policy/runs.jsonl"
+    policies = Entry(name, cutouts.COMMAND, cutouts.ROOTS, _city_policy, cutouts.data(), PACKAGES)
     return [
-        Entry(f"results/{study}/runs.jsonl", command, ROOTS, _city, DATA, PACKAGES)
-        for study, command in (("city-paper", COMMAND), ("city-separation", SEPARATION_COMMAND))
+        policies,
+        *(
+            Entry(f"results/{study}/runs.jsonl", command, ROOTS, _city, DATA, PACKAGES)
+            for study, command in (("city-paper", COMMAND), ("city-separation", SEPARATION_COMMAND))
+        ),
     ]
 
 
@@ -245,4 +263,10 @@ def _trained() -> list[Entry]:
     for file, (name, root) in policies.items():
         algorithm = "set-paper" if name == "set" else name
         found.append(Entry(file, made.format(algorithm, file), (root,), _policy, packages=_TRAINED))
+    begun = ("config/policies/atmc.safetensors",)
+    for seed in range(1, 4):
+        file = f"results/policies/city-{seed}.safetensors"
+        command = f"ground-tools atmc train --algorithm city --seed {seed}; the run's policy.safetensors"
+        root = f"{learners}.city_policy"
+        found.append(Entry(file, command, (root,), _city_learner, begun, packages=_TRAINED))
     return found

@@ -72,6 +72,12 @@ def _flying() -> Parts:
     return Parts(FlyingSettings(), FlyingLearner)
 
 
+def _city() -> Parts:
+    from ground_tools.atmc.learners.city_policy import CityLearner, city_settings
+
+    return Parts(city_settings(), CityLearner)
+
+
 def _set_paper() -> Parts:
     from ground_tools.atmc.learners.flying_policy import PAPER_FLEETS, FlyingLearner, FlyingSettings
 
@@ -85,6 +91,9 @@ ALGORITHMS: Final[dict[str, Algorithm]] = {
     "iac": Algorithm("the paper's IAC baseline, with independent actors and critics", _iac),
     "flying": Algorithm(
         "the set network for flight, trained for awareness; any number of neighbours", _flying, 2, 2
+    ),
+    "city": Algorithm(
+        "the set network trained on cut-outs of a city, for the room that old information costs", _city, 4, 4
     ),
     "set-paper": Algorithm("the set network trained for the paper's objective", _set_paper, 2, 2),
 }
