@@ -17,7 +17,7 @@ from companion.config import CHOOSER_WORDS, AtmcConfig, AvoidanceConfig, LimitsC
 from companion.errors import ConfigError
 from companion.laws import plugin_of
 from companion.remote_id.region import Region
-from companion.shipped import named
+from companion.shipped import named, names
 from companion.toml_reader import decode_toml
 from sitl_mocks.air.air_settings import DEFAULT_DELAY_S, AirSettings, check_allowed, load_parameters
 from sitl_mocks.channel.parameters import ChannelParameters
@@ -94,7 +94,13 @@ def load(path: Path) -> Scenario:
     Raises:
         ConfigError: the message names the file and the key.
     """
-    scenario = decode_toml(path, Scenario)
+    try:
+        scenario = decode_toml(path, Scenario)
+    except ConfigError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            come = ", ".join(names("scenarios", ".toml"))
+            raise ConfigError(f"{error}; the scenarios that come with the software: {come}") from error
+        raise
     if (scenario.geometry is None) == (not scenario.path):
         raise ConfigError(f"{path}: give either geometry or path tables, not both and not neither")
     if scenario.path and len(scenario.path) < 2:

@@ -262,6 +262,7 @@ def test_a_run_folder_is_whole(tmp_path, capsys):
         (["--aircraft", "1"], "--aircraft: 1 is out of range; allowed: 2 to 100"),
         (["--seeds", "5-1"], "--seeds: '5-1' is not a range of seeds; allowed: A-B"),
         (["--scenario", "/nowhere.toml"], "/nowhere.toml: cannot be read"),
+        (["--scenario", "headon"], "come with the software: atmc, head_on, "),
     ],
 )
 def test_wrong_options_are_one_line_and_exit_code_2(capsys, arguments, words):
