@@ -66,6 +66,7 @@ SMALLER: Final = (
     (r"^(ground-tools paper city-separation)(?!.*--methods)", r"\1 --density 30 --methods policy perfect"),
     (r"^(ground-tools paper city\S*)", r"\1 --aircraft 12 --minutes 0.5 --settle 10"),
     (r"^(ground-tools paper city .*)--densities [\d ]+", r"\1--densities 8 "),
+    (r"^(ground-tools paper city-policy .*)--densities [\d ]+", r"\1--methods policy city-1 --densities 10 "),
     (r"^(ground-tools paper city )(?!.*--densities)", r"\1--densities 8 --methods fixed perfect "),
     (r"^(ground-tools paper city-separation)", r"\1 --separations 10 20"),
     (r"^(ground-tools paper city.*?)(?: --seeds \S+)?$", r"\1 --seeds 1-2"),
