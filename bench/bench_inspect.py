@@ -27,7 +27,7 @@ from sitl_mocks.encounters.lockstep import fly
 from tests.support import onboard_logs
 
 LONGER = 10
-MOST_S, MOST_MB, MOST_FACTOR = 10.0, 50.0, 1.3
+MOST_S, MOST_MB, MOST_FACTOR = 10.0, 50.0, 1.2
 """Targets: CPU time to write and verify a recording, its size, and the memory of the longer run as a multiple
 of the shorter run's."""
 LOG_MB, MOST_LOG_MB = 1074, 400.0
