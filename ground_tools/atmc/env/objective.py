@@ -141,6 +141,10 @@ class AwarenessObjective:
     def __init__(self, channel: TorchChannel) -> None:
         self.channel = channel
 
+    def cost(self, rate: Tensor, weight: Tensor) -> Tensor:
+        """Cost of pairs whose information is received at `rate` (1/s) and that have this conflict weight."""
+        return age_s(rate) * weight
+
     def each(self, air: Air, action: Tensor, packets: Packets) -> Tensor:
         """See `Objective.each`."""
         level = self.channel.level_of[action]
@@ -150,7 +154,7 @@ class AwarenessObjective:
             delay = self.channel.log_delay_at(index, there, packets)
             heard = heard + torch.exp(-delay) * (air.reach.modes[index] * (there > 0))
         assert isinstance(heard, Tensor)
-        return (age_s(heard) * air.weight).sum(1)
+        return self.cost(heard, air.weight).sum(1)
 
     def own(self, air: Air, packets: Packets, senders: Tensor) -> Tensor:
         """See `Objective.own`."""
@@ -161,13 +165,10 @@ class AwarenessObjective:
             carried = air.reach.modes[index][:, :, senders]
             heard = torch.exp(-c.log_delay(index, packets)) * carried[..., None]
             rates.append(torch.cat([torch.zeros_like(heard[..., :1]), heard], -1))
-        costs = [
-            (
-                age_s(sum(rates[mode][..., c.level_of[a, mode]] for mode in range(3)))  # type: ignore[arg-type]
-                * air.weight[:, :, senders]
-            ).sum(1)
-            for a in range(len(c.actions))
-        ]
+        weight, costs = air.weight[:, :, senders], []
+        for action in range(len(c.actions)):
+            ble4, ble5, wifi = (rates[mode][..., c.level_of[action, mode]] for mode in range(3))
+            costs.append(self.cost(ble4 + ble5 + wifi, weight).sum(1))
         return torch.stack(costs, -1)
 
 

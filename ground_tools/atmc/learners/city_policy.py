@@ -22,15 +22,14 @@ from companion.atmc.policy_file import read
 from companion.atmc.rule import FIXED_SETS
 from companion.avoidance.kernels.neighbours import KEPT_S
 from companion.shipped import shipped
-from ground_tools.atmc.env.channel import Packets, TorchChannel
+from ground_tools.atmc.env.channel import TorchChannel
 from ground_tools.atmc.env.deciders import Decider, settle
 from ground_tools.atmc.env.environment import Env, EnvSettings
-from ground_tools.atmc.env.objective import Air, AwarenessObjective, costs
+from ground_tools.atmc.env.objective import AwarenessObjective, costs
 from ground_tools.atmc.env.tasks import AWARENESS_CHANNEL
 from ground_tools.atmc.env.torch_setup import set_up_torch
 from ground_tools.atmc.env.world import MAX_SPEED_MPS, World, WorldSettings
 from ground_tools.atmc.learners.flying_policy import FlyingLearner, FlyingSettings
-from sitl_mocks.channel.parameters import MODES
 
 BEGINS_WITH: Final = "config/policies/atmc.safetensors"
 UNHEARD_S: Final = 60.0
@@ -73,30 +72,9 @@ def price_s(rate: Tensor, weight: Tensor) -> Tensor:
 class CityObjective(AwarenessObjective):
     """The sum over receivers of `price_s`."""
 
-    def each(self, air: Air, action: Tensor, packets: Packets) -> Tensor:
-        """See `Objective.each`."""
-        level = self.channel.level_of[action]
-        heard = torch.zeros_like(air.weight)
-        for index in range(len(MODES)):
-            there = level[:, None, :, index]
-            delay = self.channel.log_delay_at(index, there, packets)
-            heard = heard + torch.exp(-delay) * (air.reach.modes[index] * (there > 0))
-        return price_s(heard, air.weight).sum(1)
-
-    def own(self, air: Air, packets: Packets, senders: Tensor) -> Tensor:
-        """See `Objective.own`."""
-        packets = packets.of(senders)
-        c = self.channel
-        rates = []
-        for index in range(len(MODES)):
-            carried = air.reach.modes[index][:, :, senders]
-            heard = torch.exp(-c.log_delay(index, packets)) * carried[..., None]
-            rates.append(torch.cat([torch.zeros_like(heard[..., :1]), heard], -1))
-        weight, found = air.weight[:, :, senders], []
-        for action in range(len(c.actions)):
-            ble4, ble5, wifi = (rates[mode][..., c.level_of[action, mode]] for mode in range(3))
-            found.append(price_s(ble4 + ble5 + wifi, weight).sum(1))
-        return torch.stack(found, -1)
+    def cost(self, rate: Tensor, weight: Tensor) -> Tensor:
+        """See `AwarenessObjective.cost`."""
+        return price_s(rate, weight)
 
 
 def city_objective(device: torch.device | str = "cpu") -> CityObjective:
