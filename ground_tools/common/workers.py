@@ -147,9 +147,10 @@ def _pool(processes: int, words: Console) -> Iterator[ProcessPoolExecutor]:
             ) from error
         except BaseException as error:
             # The workers ignore Ctrl-C, and the pool would wait for the remaining items.
-            pool.shutdown(wait=False, cancel_futures=True)
             for child in multiprocessing.active_children():
                 child.terminate()
+            # A thread of the pool that still ended at the interpreter's exit would race with it.
+            pool.shutdown(wait=True, cancel_futures=True)
             if isinstance(error, KeyboardInterrupt):
                 words.print(_INTERRUPTED)
             raise

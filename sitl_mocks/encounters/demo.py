@@ -319,9 +319,10 @@ def _fly_all(
                     yield Verdict(seed, scenario, outcomes[seed, True], outcomes[seed, False])
         except KeyboardInterrupt:
             # The workers ignore Ctrl-C, and the pool would wait for the flights that have begun.
-            pool.shutdown(wait=False, cancel_futures=True)
             for child in multiprocessing.active_children():
                 child.terminate()
+            # A thread of the pool that still ended at the interpreter's exit would race with it.
+            pool.shutdown(wait=True, cancel_futures=True)
             above = " The results so far are above." if waiting != seeds else ""
             console.print(f"Interrupted.{above}")
             raise
