@@ -40,10 +40,11 @@ CHANNEL: Final = "config/channel/standard.toml"
 POLICY: Final = "config/policies/atmc.safetensors"
 SAME: Final[dict[str, Action]] = {
     BLE4: (10, 0, 0), BLE5: (0, 10, 0), "wifi": (0, 0, 10), "wifi-2": (0, 0, 2), "wifi-1": (0, 0, 1),
-    "all-2": (2, 2, 2),
+    "all-2": (2, 2, 2), "ble4-wifi-2": (10, 0, 2),
 }  # fmt: skip
-"""All aircraft on the same transports: one of them at the highest rate, Wi-Fi at a lower one, or all three
-with two Location messages a second on each. BLE 4 and BLE 5 alone are legal nowhere."""
+"""All aircraft on the same transports: one of them at the highest rate, Wi-Fi at a lower one, all three with
+two Location messages a second on each, or BLE 4 at the highest rate and Wi-Fi at two. BLE 4 and BLE 5 alone
+are legal nowhere."""
 TRANSPORTS: Final = (*SAME, "fixed", "rule", "policy")
 _BLUETOOTH: Final = 0.35
 """Background load of Bluetooth as a share of that of Wi-Fi: Bluetooth hops. As in `paper closed-loop`."""

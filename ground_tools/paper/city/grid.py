@@ -44,6 +44,7 @@ METHODS: Final = {
     "wifi": Method("Wi-Fi at 10", {"transports": "wifi"}, (67, 118, 143, 108)),
     "wifi-2": Method("Wi-Fi at 2", {"transports": "wifi-2"}, (67, 118, 143, 108)),
     "wifi-1": Method("Wi-Fi at 1", {"transports": "wifi-1"}, (67, 118, 143, 108)),
+    "ble4-wifi-2": Method("BLE 4 at 10, Wi-Fi at 2", {"transports": "ble4-wifi-2"}, (62, 121, 135, 134)),
     "all-2": Method("all three at 2", {"transports": "all-2"}, (62, 121, 135, 134)),
     "fixed": Method("best fixed legal set", {"transports": "fixed"}, (62, 121, 135, 134)),
     "rule": Method("rule", {"transports": "rule"}, (64, 128, 138, 136)),

@@ -16,12 +16,14 @@ SHOWN: Final = tuple(measure for measure in MEASURES if measure.panel)
 _ROWS: Final = (len(SHOWN) + 1) // 2
 COLOURS: Final = {
     "ble4": "#56b4e9", "ble5": "#0072b2", "wifi": "#e69f00", "wifi-2": "#a6761d", "wifi-1": "#f0c419",
-    "all-2": "#882255", "fixed": "#d55e00", "rule": "#cc79a7",
+    "all-2": "#882255", "ble4-wifi-2": "#332288", "fixed": "#d55e00", "rule": "#cc79a7",
     "policy": "#009e73", "ideal": "#999933", "perfect": "#000000", "none": "#8c8c8c",
 }  # fmt: skip
 """Colour of each method."""
-MARKS: Final = dict(zip(METHODS, "ovs<>p^DPhX*", strict=True))
+MARKS: Final = dict(zip(METHODS, "ovs<>pd^DPhX*", strict=True))
 """Marker of each method."""
+_LEGEND_ROWS: Final = 2
+"""All methods in one row would be wider than the picture."""
 _APART: Final = 0.03
 """Horizontal offset between methods, in decades of density, so that no interval hides another."""
 
@@ -86,9 +88,8 @@ def draw(figure: Any, cells: Mapping[Cell, Sequence[Row]]) -> None:
             axes.minorticks_off()
             if place == 0:
                 axes.set_ylabel(measure.title, fontsize=11)
-    figure.legend(
-        handles.values(), handles.keys(), loc="outside lower center", ncols=len(METHODS), frameon=False
-    )
+    columns = math.ceil(len(handles) / _LEGEND_ROWS)
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns, frameon=False)
 
 
 def _draw(axes: Any, curve: Curve, measure: Measure) -> Any:

@@ -52,9 +52,9 @@ def test_the_area_follows_from_the_number_of_aircraft():
 
 def test_methods_without_radio_fly_once_for_all_loads():
     grid = Grid(densities=(10.0,), seeds=range(1, 3))
-    assert len(list(grid.cells())) == 24
+    assert len(list(grid.cells())) == 26
     works = runs.missing(grid, {})
-    assert len(works) == 2 * (2 * 9 + 3)
+    assert len(works) == 2 * (2 * 10 + 3)
     assert len({(work.city.name, work.seed) for work in works}) == len(works)
     assert [work.cost_s for work in works] == sorted((work.cost_s for work in works), reverse=True)
     assert grid.city(Cell(0.0, 10.0, "none")) == grid.city(Cell(0.6, 10.0, "none"))
@@ -64,7 +64,7 @@ def test_methods_without_radio_fly_once_for_all_loads():
 
 def test_the_estimate_is_of_the_whole_grid():
     works = runs.missing(Grid(), {})
-    assert len(works) == 5 * 3 * (2 * 9 + 3)
+    assert len(works) == 5 * 3 * (2 * 10 + 3)
     hours = sum(work.cost_s for work in works) / 3600.0
     assert 0.5 < hours < 3.0
     assert f"{len(works)} runs" in runs.estimate(works, 2)
@@ -190,6 +190,19 @@ def test_every_measure_has_a_panel_for_each_load():
         # intervals.
         assert shapes.count("v") == 2
         assert len(figure.legends[0].get_texts()) == 3
+
+
+def test_the_legend_of_all_methods_is_within_the_picture():
+    pytest.importorskip("matplotlib")
+    made = {Cell(load, 10.0, method): three(1) for load in (0.0, 0.6) for method in METHODS}
+    with styled(picture.size_in(2)) as figure:
+        picture.draw(figure, made)
+        figure.canvas.draw()
+        (legend,) = figure.legends
+        assert len(legend.get_texts()) == len(METHODS)
+        left, right = legend.get_window_extent().intervalx
+        assert left >= 0.0
+        assert right <= figure.bbox.width
 
 
 # ---------------------------------------------------------------- the command
