@@ -264,7 +264,7 @@ def _trained() -> list[Entry]:
         algorithm = "set-paper" if name == "set" else name
         found.append(Entry(file, made.format(algorithm, file), (root,), _policy, packages=_TRAINED))
     begun = ("config/policies/atmc.safetensors",)
-    for seed in range(1, 4):
+    for seed in range(1, 6):
         file = f"results/policies/city-{seed}.safetensors"
         command = f"ground-tools atmc train --algorithm city --seed {seed}; the run's policy.safetensors"
         root = f"{learners}.city_policy"

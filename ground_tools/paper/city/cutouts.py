@@ -44,7 +44,7 @@ COMMAND: Final = (
     "--densities 30 --loads 0 --seeds 101-102"
 )
 ROOTS: Final = ("ground_tools.paper.city.cutouts",)
-TRAINED: Final = tuple(f"results/policies/city-{seed}.safetensors" for seed in range(1, 4))
+TRAINED: Final = tuple(f"results/policies/city-{seed}.safetensors" for seed in range(1, 6))
 """The trained policies, one of each seed."""
 USUAL: Final = "-".join(map(str, FIXED_SETS[0]))
 """The fixed set with which all are compared."""
