@@ -143,8 +143,8 @@ class AdsbTraffic:
         self._own_icao = own_icao
         self._seen: dict[str, _Seen] = {}
         """Aircraft by the names that `_name` gives, because an address may be heard at several places."""
-        self._places = 1
-        """Most places at which an address was ever heard at a time."""
+        self._places: dict[str, set[int]] = {}
+        """For each address, the numbers of the places at which it is held."""
         self._ranking = Ranking()
         self._ranked_s = -math.inf
 
@@ -256,9 +256,10 @@ class AdsbTraffic:
         Returns:
             The name, and whether the aircraft could be there, but not at that height.
         """
+        address = f"{icao:06X}"
         free, best, least_m, jumped = 0, "", math.inf, False
-        for place in range(1, self._places + 2):
-            name = f"{icao:06X}" if place == 1 else f"{icao:06X}{PLACE}{place}"
+        for place in range(1, max(self._places.get(address, ()), default=0) + 2):
+            name = _name_at(address, place)
             seen = self._seen.get(name)
             if seen is None:
                 free = free or place
@@ -271,8 +272,8 @@ class AdsbTraffic:
                     best, least_m = name, off_m + jump_m
         if best:
             return best, False
-        self._places = max(self._places, free)
-        return f"{icao:06X}" if free == 1 else f"{icao:06X}{PLACE}{free}", jumped
+        self._places.setdefault(address, set()).add(free)
+        return _name_at(address, free), jumped
 
     def _make_room(self, now_s: float) -> None:
         """Remove one aircraft, unless there are expired ones."""
@@ -310,6 +311,11 @@ class AdsbTraffic:
     def _remove(self, name: str) -> None:
         del self._seen[name]
         self._ranking.remove(name)
+        address, _, place = name.partition(PLACE)
+        places = self._places[address]
+        places.discard(int(place or 1))
+        if not places:
+            del self._places[address]
 
     def _expire(self, now_s: float) -> None:
         for name in [n for n, seen in self._seen.items() if now_s - seen.at_s > EXPIRE_S]:
@@ -338,6 +344,10 @@ class AdsbTraffic:
             for name, seen in self._seen.items()
             if now_s - seen.at_s <= EXPIRE_S
         ]
+
+
+def _name_at(address: str, place: int) -> str:
+    return address if place == 1 else f"{address}{PLACE}{place}"
 
 
 def _off_m(seen: _Seen, position: Vec3, velocity: Vec3 | None, at_s: float) -> float:

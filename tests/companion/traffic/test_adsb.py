@@ -385,7 +385,19 @@ def test_who_uses_another_aircrafts_address_elsewhere_hides_nobody():
         sky.take(now_s + 0.05, report(-30_000.0, velocity_ned_mps=(0.0, 0.0, 0.0)))
         found = {n.track_id: n.position_ned_m[0] for n in sky.at(now_s + 0.05)}
         assert found == pytest.approx({"4B1234": true_m, "4B1234/2": -30_000.0}, abs=1.0)
-    assert sky.traffic._places == 2
+
+
+def test_places_of_an_address_cost_other_addresses_nothing_and_end_with_its_aircraft():
+    """Each report is compared with all places of its address."""
+    sky = Sky()
+    sky.take(10.0, *[report(1_000.0 * k) for k in range(-15, 15)])
+    sky.take(10.1, report(1000.0, icao=0xA00001))
+    assert sky.traffic._places == {"4B1234": set(range(1, 31)), "A00001": {1}}
+    sky.take(20.0, report(1500.0, icao=0xA00001))
+    assert len(sky.at(10.0 + EXPIRE_S)) == 1
+    assert sky.traffic._places == {"A00001": {1}}
+    sky.traffic.clear()
+    assert not sky.traffic._places
 
 
 def test_one_whose_reports_are_lost_for_a_while_stays_one():
