@@ -161,6 +161,15 @@ def test_who_forges_a_place_nearby_takes_nothing_from_the_true_one(aside_m):
         assert by_name(sky, now_s + 0.05)["4B1234"].position_ned_m[1] == pytest.approx(0.0, abs=0.01)
 
 
+@pytest.mark.parametrize(("away_m", "names"), [(880.0, 1), (920.0, 2)])
+def test_without_a_known_velocity_it_may_have_flown_as_fast_as_any(away_m, names):
+    """300 m, and 600 m/s for a second."""
+    sky = Sky()
+    sky.take(10.0, report(3000.0, velocity_ned_mps=None))
+    sky.take(11.0, report(3000.0, away_m, velocity_ned_mps=None))
+    assert len(sky.at(11.0)) == names
+
+
 @pytest.mark.parametrize("every_s", [0.2, 1.0, 2.0, 5.0])
 @pytest.mark.parametrize(("speed_mps", "told"), [(20.0, True), (250.0, True), (20.0, False), (100.0, False)])
 def test_turns_and_climbs_are_of_one_aircraft(speed_mps, told, every_s):
