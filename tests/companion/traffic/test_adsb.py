@@ -312,18 +312,6 @@ def test_one_that_is_known_keeps_its_place_among_too_many():
     assert icaos(sky, 11.0) == {*range(MOST)}
 
 
-@pytest.mark.parametrize(("heard", "kept"), [(1, False), (2, False), (3, True)])
-def test_one_that_was_heard_three_times_is_not_given_up_for_one_that_is_heard_once(heard, kept):
-    """It is the farthest of a full table, and the newcomer is near."""
-    sky = Sky()
-    for tick in range(5):
-        sky.take(10.0 + tick, *[report(15_000.0 + 50.0 * tick, icao=0xA00000 + k) for k in range(MOST - 1)])
-    for tick in range(heard):
-        sky.take(15.0 + tick, report(0.0, 30_000.0 + 50.0 * tick))
-    sky.take(18.0, report(1000.0, 500.0, icao=0xC00000))
-    assert ({ICAO, 0xC00000} & icaos(sky, 18.0)) == ({ICAO} if kept else {0xC00000})
-
-
 def test_near_ones_that_fell_silent_keep_nobody_out():
     """On the ground nobody asks for the neighbours, which is when the silent ones are forgotten."""
     sky = Sky()
