@@ -75,7 +75,10 @@ turned and accelerated since (`_TURNS_MPS2`), up to `_FASTEST_MPS`."""
 _TURNED_MPS, _CLIMBED_MPS, _CLIMBS_MPS2 = 10.0, 6.4, 10.0
 """How far its velocity may be from the last one: `_TURNED_MPS` and `_TURNS_MPS2` horizontally, `_CLIMBED_MPS`
 (three standard deviations of both) and `_CLIMBS_MPS2` vertically."""
-_APART_S = 1.0
+_APART_S, _LONG_S = 1.0, 5.0
+"""Velocities are computed from positions `_APART_S` apart or more. If reports are more frequent than that,
+the earlier position is replaced when it is `_LONG_S` old or twice that. Otherwise the course before a turn
+would never be forgotten."""
 _STEP_M, _CLIMB_MPS = 50.0, 51.0
 """How far an altitude may be from the last one: `_STEP_M`, and `_CLIMB_MPS` for the time between them. TCAS
 II (version 7.1) takes no aircraft for a threat whose altitudes change faster than 10,000 ft/min, which is
@@ -115,6 +118,8 @@ class _Seen:
     """When it was last a threat (our monotonic time)."""
     anchor: _Seen | None
     """Earlier report to derive a velocity from; a second or more before this one if there is one."""
+    next_anchor: _Seen | None
+    """The report that replaces `anchor` when it is `_LONG_S` before."""
     spoken: _Seen | None
     """The last report with a velocity, if this one has none."""
     height: _Height | None
@@ -143,8 +148,8 @@ class AdsbTraffic:
         self._own_icao = own_icao
         self._seen: dict[str, _Seen] = {}
         """Aircraft by the names that `_name` gives, because an address may be heard at several places."""
-        self._places = 1
-        """Most places at which an address was ever heard at a time."""
+        self._places: dict[str, set[int]] = {}
+        """For each address, the numbers of the places at which it is held."""
         self._ranking = Ranking()
         self._ranked_s = -math.inf
 
@@ -212,7 +217,8 @@ class AdsbTraffic:
             turn_rps=0.0,
             reports=1 if before is None else before.reports + 1,
             threat_s=-math.inf if before is None else before.threat_s,
-            anchor=before,
+            anchor=None,
+            next_anchor=None,
             spoken=None,
             height=height if before is None else height or before.height,
             doubted_until_s=before.doubted_until_s if before is not None else doubted_until_s,
@@ -221,9 +227,13 @@ class AdsbTraffic:
         )
         if before is not None:
             # A velocity from two positions needs reports that are not too close in time, at any report rate.
-            anchor = before if before.anchor is None or at_s - before.at_s >= _APART_S else before.anchor
-            seen.anchor = anchor
-            anchor.anchor = None
+            anchor, later = before.anchor or before, before.next_anchor or before
+            if at_s - before.at_s >= _APART_S:
+                anchor = later = before
+            elif at_s - later.at_s >= _LONG_S:
+                anchor, later = later, before
+            before.anchor = before.next_anchor = None
+            seen.anchor, seen.next_anchor = anchor, later
             spoken = before if before.velocity_sent else before.spoken
             before.spoken = None
             if event.velocity_ned_mps is None:
@@ -256,9 +266,10 @@ class AdsbTraffic:
         Returns:
             The name, and whether the aircraft could be there, but not at that height.
         """
+        address = f"{icao:06X}"
         free, best, least_m, jumped = 0, "", math.inf, False
-        for place in range(1, self._places + 2):
-            name = f"{icao:06X}" if place == 1 else f"{icao:06X}{PLACE}{place}"
+        for place in range(1, max(self._places.get(address, ()), default=0) + 2):
+            name = _name_at(address, place)
             seen = self._seen.get(name)
             if seen is None:
                 free = free or place
@@ -271,8 +282,8 @@ class AdsbTraffic:
                     best, least_m = name, off_m + jump_m
         if best:
             return best, False
-        self._places = max(self._places, free)
-        return f"{icao:06X}" if free == 1 else f"{icao:06X}{PLACE}{free}", jumped
+        self._places.setdefault(address, set()).add(free)
+        return _name_at(address, free), jumped
 
     def _make_room(self, now_s: float) -> None:
         """Remove one aircraft, unless there are expired ones."""
@@ -310,6 +321,11 @@ class AdsbTraffic:
     def _remove(self, name: str) -> None:
         del self._seen[name]
         self._ranking.remove(name)
+        address, _, place = name.partition(PLACE)
+        places = self._places[address]
+        places.discard(int(place or 1))
+        if not places:
+            del self._places[address]
 
     def _expire(self, now_s: float) -> None:
         for name in [n for n, seen in self._seen.items() if now_s - seen.at_s > EXPIRE_S]:
@@ -338,6 +354,10 @@ class AdsbTraffic:
             for name, seen in self._seen.items()
             if now_s - seen.at_s <= EXPIRE_S
         ]
+
+
+def _name_at(address: str, place: int) -> str:
+    return address if place == 1 else f"{address}{PLACE}{place}"
 
 
 def _off_m(seen: _Seen, position: Vec3, velocity: Vec3 | None, at_s: float) -> float:

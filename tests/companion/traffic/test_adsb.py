@@ -233,13 +233,26 @@ def test_however_often_positions_come_a_velocity_comes_of_them(every_s):
             assert sky.only(now_s).velocity_ned_mps == pytest.approx((-40.0, 0.0, 0.0), abs=1.01)
 
 
-def test_of_a_long_flight_two_reports_are_kept():
+@pytest.mark.parametrize("every_s", [0.2, 0.5, 0.9, 1.0, 3.0])
+def test_ten_seconds_after_a_turn_the_course_before_it_is_forgotten(every_s):
+    """Velocities from positions, after a minute straight ahead."""
+    sky = Sky()
+    for number in range(int(75.0 / every_s)):
+        t = number * every_s
+        place = 40.0 * min(t, 60.0), 40.0 * max(0.0, t - 60.0)
+        sky.take(10.0 + t, report(*place, velocity_ned_mps=None))
+        if t > 71.0:
+            assert sky.only(10.0 + t).velocity_ned_mps == pytest.approx((0.0, 40.0, 0.0), abs=0.1)
+
+
+def test_of_a_long_flight_few_reports_are_kept():
     sky = Sky()
     for tick in range(50):
-        sky.take(10.0 + tick, report(1000.0 - tick, velocity_ned_mps=None))
+        sky.take(10.0 + 0.5 * tick, report(1000.0 - tick, velocity_ned_mps=None))
     newest = sky.traffic._seen["4B1234"]
-    assert newest.anchor is not None
-    assert newest.anchor.anchor is None
+    for kept in (newest.anchor, newest.next_anchor):
+        assert kept is not None
+        assert (kept.anchor, kept.next_anchor) == (None, None)
 
 
 def test_a_velocity_that_is_not_told_any_more_is_kept_until_positions_tell_one():
@@ -385,7 +398,19 @@ def test_who_uses_another_aircrafts_address_elsewhere_hides_nobody():
         sky.take(now_s + 0.05, report(-30_000.0, velocity_ned_mps=(0.0, 0.0, 0.0)))
         found = {n.track_id: n.position_ned_m[0] for n in sky.at(now_s + 0.05)}
         assert found == pytest.approx({"4B1234": true_m, "4B1234/2": -30_000.0}, abs=1.0)
-    assert sky.traffic._places == 2
+
+
+def test_places_of_an_address_cost_other_addresses_nothing_and_end_with_its_aircraft():
+    """Each report is compared with all places of its address."""
+    sky = Sky()
+    sky.take(10.0, *[report(1_000.0 * k) for k in range(-15, 15)])
+    sky.take(10.1, report(1000.0, icao=0xA00001))
+    assert sky.traffic._places == {"4B1234": set(range(1, 31)), "A00001": {1}}
+    sky.take(20.0, report(1500.0, icao=0xA00001))
+    assert len(sky.at(10.0 + EXPIRE_S)) == 1
+    assert sky.traffic._places == {"A00001": {1}}
+    sky.traffic.clear()
+    assert not sky.traffic._places
 
 
 def test_one_whose_reports_are_lost_for_a_while_stays_one():

@@ -103,6 +103,15 @@ def test_the_noise_of_positions_corrects_no_velocity():
             assert sky.only(10.0 + second).velocity_ned_mps == true
 
 
+@pytest.mark.parametrize(("error_mps", "found"), [(9.0, False), (11.0, True)])
+def test_how_small_an_error_of_a_velocity_is_found(error_mps, found):
+    """Smaller ones cannot be told from the noise of two positions 15 s apart and from manoeuvres."""
+    sky = Sky()
+    for second in range(60):
+        sky.take(10.0 + second, report(1000.0 + error_mps * second, velocity_ned_mps=(0.0, 0.0, 0.0)))
+    assert sky.only(69.0).velocity_ned_mps[0] == pytest.approx(error_mps if found else 0.0, abs=0.5)
+
+
 @pytest.mark.parametrize("every", [2, 5, 9])
 def test_forged_reports_now_and_then_do_not_correct_a_true_velocity(every):
     """They are near enough to be taken for the same aircraft's, and say that it is slower."""
@@ -133,6 +142,15 @@ def test_who_forges_another_velocity_takes_nothing_from_the_true_one(forged):
         assert "4B1234/2" in found
 
 
+@pytest.mark.parametrize(("aside_m", "names"), [(330.0, 1), (350.0, 2)])
+def test_after_two_seconds_a_place_may_be_off_by_the_most_and_by_a_turn(aside_m, names):
+    """300 m, and 40 m for turns at 20 m/s2."""
+    sky = Sky()
+    sky.take(10.0, report(3000.0, velocity_ned_mps=(-40.0, 0.0, 0.0)))
+    sky.take(12.0, report(2920.0, aside_m, velocity_ned_mps=(-40.0, 0.0, 0.0)))
+    assert len(sky.at(12.0)) == names
+
+
 @pytest.mark.parametrize("aside_m", [160.0, 250.0])
 def test_who_forges_a_place_nearby_takes_nothing_from_the_true_one(aside_m):
     sky = Sky()
@@ -141,6 +159,15 @@ def test_who_forges_a_place_nearby_takes_nothing_from_the_true_one(aside_m):
         for aside, later_s in ((0.0, 0.0), (aside_m, 0.05)):
             sky.take(now_s + later_s, report(north_m, aside, velocity_ned_mps=(-40.0, 0.0, 0.0)))
         assert by_name(sky, now_s + 0.05)["4B1234"].position_ned_m[1] == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("away_m", "names"), [(880.0, 1), (920.0, 2)])
+def test_without_a_known_velocity_it_may_have_flown_as_fast_as_any(away_m, names):
+    """300 m, and 600 m/s for a second."""
+    sky = Sky()
+    sky.take(10.0, report(3000.0, velocity_ned_mps=None))
+    sky.take(11.0, report(3000.0, away_m, velocity_ned_mps=None))
+    assert len(sky.at(11.0)) == names
 
 
 @pytest.mark.parametrize("every_s", [0.2, 1.0, 2.0, 5.0])
@@ -193,6 +220,12 @@ def test_a_jump_is_found_over_a_report_without_a_height():
 def test_climbs_and_steps_of_a_hundred_feet_are_no_jumps(climb_mps):
     downs_m = [round((-2000.0 - climb_mps * second) / 30.48) * 30.48 for second in range(40)]
     assert known(*downs_m) == [{"4B1234": True}] * 40
+
+
+@pytest.mark.parametrize(("off_m", "names"), [(95.0, 1), (-95.0, 1), (110.0, 2), (-110.0, 2)])
+def test_a_change_of_height_that_is_faster_than_any_climb_is_a_jump(off_m, names):
+    """Within a second: 50 m, and 51 m/s."""
+    assert len(known(-1500.0, -1500.0 + off_m)[-1]) == names
 
 
 @pytest.mark.parametrize(("off_m", "one"), [(40.0, True), (-40.0, True), (300.0, False), (-300.0, False)])
