@@ -17,12 +17,14 @@ from rich.console import Console
 
 from companion.errors import ConfigError
 from ground_tools import cli
+from ground_tools.campaign import runs
+from ground_tools.campaign.encounters import command as encounters
 from ground_tools.city.cells import City, Row, fly
 from ground_tools.city.traffic.demand import Demand
 from ground_tools.common.cluster import on_ray
 from tests.support.encounter_models import TINY
 
-RUN = ["campaign", "run", "--generator", "crossing", "--aircraft", "3", "--seeds", "1-400"]
+RUN = ["campaign", "run", "--generator", "crossing", "--aircraft", "3", "--seeds", "1-100"]
 
 
 def state() -> str:
@@ -71,7 +73,8 @@ def address():
             cluster.shutdown()
 
 
-def test_rows_are_those_of_this_machine_and_go_on(address, tmp_path, capsys):
+def test_rows_are_those_of_this_machine_and_go_on(address, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(runs, "_AIRCRAFT_AT_ONCE", 120)
     for folder, options in (("here", ["--processes", "1"]), ("there", ["--ray", address])):
         assert cli.main([*RUN, "--json", "--out", str(tmp_path / folder), *options]) == 0
     here, there = map(json.loads, capsys.readouterr().out.splitlines())
@@ -81,22 +84,23 @@ def test_rows_are_those_of_this_machine_and_go_on(address, tmp_path, capsys):
         lines = (tmp_path / "there" / path.name).read_text().splitlines()
         assert sorted(lines) == sorted(path.read_text().splitlines())
         # Half of them are flown again and are the same.
-        (tmp_path / "there" / path.name).write_text("\n".join(lines[:201]) + "\n")
+        (tmp_path / "there" / path.name).write_text("\n".join(lines[:51]) + "\n")
     assert cli.main([*RUN, "--json", "--out", str(tmp_path / "there"), "--ray", address]) == 0
     again = json.loads(capsys.readouterr().out)
     assert again["flight_s"] == there["flight_s"] / 2.0
     assert {**again, "wall_s": 0.0, "flight_s": 0.0} == {**there, "wall_s": 0.0, "flight_s": 0.0}
 
 
-def test_encounters_with_crewed_aircraft_are_those_of_this_machine(address, tmp_path, capsys):
-    command = ["campaign", "encounters", "--model", str(TINY), "--seeds", "1-120", "--json"]
+def test_encounters_with_crewed_aircraft_are_those_of_this_machine(address, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(encounters, "_AT_ONCE", 10)
+    command = ["campaign", "encounters", "--model", str(TINY), "--seeds", "1-24", "--json"]
     for folder, options in (("here", ["--processes", "1"]), ("there", ["--ray", address])):
         assert cli.main([*command, "--out", str(tmp_path / folder), *options]) == 0
     here, there = map(json.loads, capsys.readouterr().out.splitlines())
-    assert here["flown"] == there["flown"] == 120
+    assert here["flown"] == there["flown"] == 24
     assert {**here, "wall_s": 0.0} == {**there, "wall_s": 0.0}
     (kept,) = (tmp_path / "there").glob("tiny-hover-geometric-*.jsonl")
-    assert len(kept.read_text().splitlines()) == 121
+    assert len(kept.read_text().splitlines()) == 25
 
 
 CITY = ["city", "--density", "20", "--size", "1", "1", "--minutes", "0.5", "--settle", "5", "--seeds", "1-3"]

@@ -12,10 +12,10 @@ from collections.abc import Iterator
 import pytest
 
 from companion.autopilot.wire import MavlinkWriter
-from tests.companion.runtime.conftest import no_service_manager
+from tests.companion.runtime.conftest import kept_signals, no_service_manager
 from tests.support.place import LAT_E7, LON_E7
 
-__all__ = ["no_service_manager"]
+__all__ = ["kept_signals", "no_service_manager"]
 
 
 class Vehicle:

@@ -91,7 +91,11 @@ Both = Callable[..., tuple[list[str], list[str]]]
 
 @pytest.fixture
 def both(
-    vehicle: Vehicle, make_config: Callable[..., Config], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    vehicle: Vehicle,
+    make_config: Callable[..., Config],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    kept_signals: None,
 ) -> Both:
     """What `check` says of such radios, and then what `run` says before it flies, or why it does not.
 

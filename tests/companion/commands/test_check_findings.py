@@ -293,9 +293,14 @@ def test_a_folder_whose_disk_is_not_mounted(
     [(("wifi",), None, True), (("ble4", "wifi"), None, False), (("wifi",), "fixed", False)],
 )
 def test_a_broadcast_without_ble4_is_warned_about(
-    listed: Callable[..., Any], transports: tuple[Any, ...], policy: str | None, warned: bool
+    listed: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    transports: tuple[Any, ...],
+    policy: str | None,
+    warned: bool,
 ) -> None:
     """Wi-Fi alone stops preventing losses of separation in a busy channel. A policy chooses by itself."""
+    monkeypatch.setattr("companion.commands.check_radios._RADIO_S", 0.1)
     found = listed(
         1,  # no air is served there
         radio=(EtherRadio(address="127.0.0.1:9"),),
@@ -316,6 +321,7 @@ def test_a_radio_that_is_not_ok_is_red_whatever_it_says_is_missing(
             return Health(False, "antenna broken", 0, 0, 0, missing=("broken", ""))
 
     monkeypatch.setattr(check_module, "_vehicle", lambda *_: None)
+    monkeypatch.setattr("companion.commands.check_radios._RADIO_S", 0.1)
     monkeypatch.setattr(radios, "open_radio", lambda *_: Broken())
     found = listed(1, radio=(EtherRadio(address="127.0.0.1:9"),))
     lights = {text: light for light, text, _ in found["radio"]}

@@ -76,12 +76,14 @@ def test_what_a_subcommand_does_not_know_is_refused_under_its_own_usage(capsys, 
     assert "unrecognized arguments: " in error
 
 
+@pytest.mark.usefixtures("kept_signals")
 def test_ctrl_c_while_modules_are_imported_ends_quietly(tmp_path, monkeypatch):
     (tmp_path / "slow_to_import.py").write_text("raise KeyboardInterrupt")
     monkeypatch.syspath_prepend(tmp_path)
     assert start("slow_to_import") == 130
 
 
+@pytest.mark.usefixtures("kept_signals")
 def test_each_installed_command_is_there(monkeypatch, capsys):
     scripts = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]["scripts"]
     assert set(scripts) == {"companion", "ground-tools", "sitl-mocks"}

@@ -230,11 +230,13 @@ class History:
         self.ours = {mode: False for mode, waits in self.ours.items() if not waits}
 
     def key(self) -> tuple[object, ...]:
+        """Everything that determines the further history. A mode stands for itself by its identity, because
+        its own hash is computed in Python each time."""
         return (
-            self.told, self.gone, self.gone and self.chosen_anew, self.held, self.taken_from, self.asked_last,
-            self.let_alone, self.gone and self.chosen, self.overruled, frozenset(self.waits),
-            frozenset(self.aged),
-            frozenset(self.ours.items()),
+            id(self.told), self.gone, self.gone and self.chosen_anew, self.held, id(self.taken_from),
+            id(self.asked_last), self.let_alone, id(self.gone and self.chosen), self.overruled,
+            frozenset(map(id, self.waits)), frozenset(map(id, self.aged)),
+            frozenset((id(mode), waits) for mode, waits in self.ours.items()),
         )  # fmt: skip
 
 
@@ -245,6 +247,7 @@ EVENTS: list[Event] = [
     ("flies", None, True),
     ("pause", None, True),
 ]
+COMMANDS = ("asks", "flies")
 
 
 @cache
@@ -255,8 +258,23 @@ def beat_of(firmware: Firmware, mode: FlightMode, armed: bool) -> Heartbeat:
     )
 
 
+def leaves(event: Event, mandate: Mandate, history: History, firmware: Firmware, now_s: float) -> bool:
+    """Whether the mandate lets a command leave. Where it does not, nothing changes."""
+    _, mode, _ = event
+    try:
+        mandate.check(now_s, None if mode is None else CUSTOM[firmware][mode])
+        if mode is None:
+            mandate.check_setpoint(standing=False)
+        else:
+            mandate.check_request(mode, now_s)
+    except Broken:
+        return False
+    assert not history.gone or history.restores(mode), "something has left without authority"
+    return True
+
+
 def happen(event: Event, mandate: Mandate, history: History, firmware: Firmware, now_s: float) -> float:
-    """Pass one event to the mandate and the history. The mandate decides what leaves. Returns the time after
+    """Pass one event to the mandate and the history, a command only if it leaves. Returns the time after
     it."""
     what, mode, armed = event
     if what == "pause":
@@ -267,17 +285,10 @@ def happen(event: Event, mandate: Mandate, history: History, firmware: Firmware,
         mandate.hear_mode_message(beat_of(firmware, mode, armed), now_s, overtaken=False)
         history.tell(mode, armed)
         return now_s
-    try:
-        mandate.check(now_s, None if mode is None else CUSTOM[firmware][mode])
-        if mode is None:
-            mandate.check_setpoint(standing=False)
-            mandate.setpoint_left(now_s)
-        else:
-            mandate.check_request(mode, now_s)
-            mandate.request_left(CUSTOM[firmware][mode], now_s)
-    except Broken:
-        return now_s
-    assert not history.gone or history.restores(mode), "something has left without authority"
+    if mode is None:
+        mandate.setpoint_left(now_s)
+    else:
+        mandate.request_left(CUSTOM[firmware][mode], now_s)
     history.left(mode)
     return now_s
 
@@ -298,7 +309,7 @@ def snapshot(mandate: Mandate, now_s: float) -> tuple[object, ...]:
     """Everything that determines the mandate's further behaviour, with times relative to now."""
     beat = mandate.heartbeat
     return (
-        beat and (beat.armed, beat.mode), mandate.lost is None, mandate.engaged, mandate._mode,
+        beat and (beat.armed, id(beat.mode)), mandate.lost is None, mandate.engaged, id(mandate._mode),
         now_s - mandate._mode_s > 3.0, mandate._base, mandate._left, mandate._held_instead,
         mandate._seen_down, mandate._asked, mandate.lost and mandate._chosen, mandate._obeyed_late,
         frozenset((c, now_s > at_s) for c, at_s in mandate._waits_s.items() if mandate._mode_s - at_s <= 3.0),
@@ -325,10 +336,12 @@ def explore(configured: Config, firmware: Firmware, mandate_type: type[Mandate] 
     """Judge every state that any sequence of the events leads to. Returns the number of states."""
     flight = configured.flight
     first = mandate_type(configured), History(flight.use, flight.rearm), 100.0
-    seen, front = set(), [first]
+    seen, front = {(snapshot(first[0], first[2]), first[1].key())}, [first]
     while front:
         mandate, history, now_s = front.pop()
         for event in EVENTS:
+            if event[0] in COMMANDS and not leaves(event, mandate, history, firmware, now_s):
+                continue
             after, following = copied(mandate), shallow(history)
             following.ours = dict(history.ours)
             then_s = happen(event, after, following, firmware, now_s)

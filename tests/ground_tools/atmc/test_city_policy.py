@@ -67,6 +67,13 @@ def test_fleets_have_a_citys_density_and_those_who_do_not_adapt_keep_their_actio
     assert any(bool(group.env.stubborn.any()) for group in learner._groups)
 
 
+@pytest.fixture
+def few_cases(monkeypatch):
+    """Validate with two small fleets instead of ten of up to 200 aircraft."""
+    monkeypatch.setattr(city_policy, "_CASES", ((12, 30.0, 0.6), (9, 10.0, 0.0)))
+
+
+@pytest.mark.usefixtures("few_cases")
 def test_a_resumed_run_is_the_uninterrupted_one_and_its_policy_can_be_read():
     whole, first, second = _learner(), _learner(), _learner(2)
     whole.train()
@@ -78,6 +85,7 @@ def test_a_resumed_run_is_the_uninterrupted_one_and_its_policy_can_be_read():
     assert load(data, "city").metadata.neighbours == 8
 
 
+@pytest.mark.usefixtures("few_cases")
 def test_the_same_policy_has_the_same_validation_every_time():
     learner = _learner()
     assert learner.validate() == learner.validate()

@@ -353,11 +353,11 @@ class Signposts(Bandit):
 @pytest.mark.parametrize(
     ("module", "episodes", "changes"),
     [
-        (madqn, 120, {"buffer_steps": 400, "batch": 64, "learning_rate": 5e-3, "exploration_episodes": 60}),
-        (iac, 400, {"learning_rate": 2e-2}),
+        (madqn, 60, {"buffer_steps": 400, "batch": 64, "learning_rate": 5e-3, "exploration_episodes": 60}),
+        (iac, 200, {"learning_rate": 2e-2}),
         (
             maddpg,
-            120,
+            60,
             {"buffer_steps": 400, "batch": 64, "learn_every": 1, "actor_rate": 5e-3, "critic_rate": 1e-2},
         ),
     ],

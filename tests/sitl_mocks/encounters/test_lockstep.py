@@ -21,13 +21,13 @@ from sitl_mocks.encounters.verdict import deviations_of, on_path_limit_m, pairs_
 
 HEAD_ON = Scenario(
     path=(
-        PathSettings(points=((0.0, -75.0, 0.0, -60.0), (50.0, 75.0, 0.0, -60.0))),
-        PathSettings(points=((0.0, 75.0, 0.0, -60.0), (50.0, -75.0, 0.0, -60.0))),
+        PathSettings(points=((0.0, -54.0, 0.0, -60.0), (36.0, 54.0, 0.0, -60.0))),
+        PathSettings(points=((0.0, 54.0, 0.0, -60.0), (36.0, -54.0, 0.0, -60.0))),
     )
 )
 
 
-def middle_of(kind, seed, seconds=110.0):
+def middle_of(kind, seed, seconds):
     """The middle part of a drawn encounter, which contains the conflict, as a scenario."""
     whole = msgspec.structs.replace(scenario_file.DEFAULT, geometry=kind)
     paths = tuple(
@@ -54,9 +54,11 @@ def least_as_planned(paths):
     return min(np.linalg.norm(a - b, axis=0).min() for a, b in itertools.combinations(places, 2))
 
 
-@pytest.mark.parametrize(("kind", "seed", "delay"), [("S2", 3, (0.0, 1.0)), ("S3", 5, (2.0, 3.0))])
-def test_five_aircraft_keep_apart_and_return(kind, seed, delay):
-    scenario = with_delay(middle_of(kind, seed), *delay)
+@pytest.mark.parametrize(
+    ("kind", "seed", "seconds", "delay"), [("S2", 3, 80.0, (0.0, 1.0)), ("S3", 5, 95.0, (2.0, 3.0))]
+)
+def test_five_aircraft_keep_apart_and_return(kind, seed, seconds, delay):
+    scenario = with_delay(middle_of(kind, seed, seconds), *delay)
     paths = lockstep.paths_of(scenario, seed)
     assert least_as_planned(paths) < 10.0
     run = lockstep.fly(scenario, seed)

@@ -196,7 +196,7 @@ class Sky:
 
 def head_on(firmware, *, cooperating=False, **over):
     """One aircraft guarded, flying north; another one coming, which keeps its way unless it cooperates."""
-    north = [(0.0, 0.0, 50.0), (700.0, 0.0, 50.0), (700.0, 100.0, 50.0)]
+    north = [(0.0, 0.0, 50.0), (550.0, 0.0, 50.0), (550.0, 60.0, 50.0)]
     south = [(400.0, 1.0, 50.0), (0.0, 1.0, 50.0), (-200.0, 1.0, 50.0)]
     return Sky(
         Guarded("ONE", firmware, north, **over),

@@ -32,7 +32,7 @@ def test_head_on_is_avoided_and_the_same_item_is_flown_on(firmware, cooperating)
     assert [c.mode for c in one.of(SetMode)] == [FlightMode.EXTERNAL, FlightMode.MISSION]
     assert sky.least() > 10.0
     # The way back leads to the same leg, and the mission to its end.
-    sky.until(lambda: math.dist(one.places[-1], (700.0, 100.0, -50.0)) < 3.0, 200.0)
+    sky.until(lambda: math.dist(one.places[-1], (550.0, 60.0, -50.0)) < 3.0, 200.0)
     assert one.states().count("avoiding") == 1
 
 

@@ -160,7 +160,7 @@ WRITER = """
 import sys
 from pathlib import Path
 from companion.runtime.record.disk import replace_file
-for _ in range(300):
+for _ in range(100):
     replace_file(Path(sys.argv[1]), sys.argv[2].encode() * 20_000)
 """
 

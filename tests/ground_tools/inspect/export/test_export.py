@@ -65,8 +65,8 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scenario = Scenario(
         aircraft=2,
         path=(
-            PathSettings(points=((0.0, -105.0, 0.0, -60.0), (70.0, 105.0, 0.0, -60.0))),
-            PathSettings(points=((0.0, 3.0, -105.0, -62.0), (70.0, 3.0, 105.0, -62.0))),
+            PathSettings(points=((0.0, -66.0, 0.0, -60.0), (44.0, 66.0, 0.0, -60.0))),
+            PathSettings(points=((0.0, 3.0, -66.0, -62.0), (44.0, 3.0, 66.0, -62.0))),
         ),
         vehicle=VehicleSettings(wind_ned_mps=(1.0, -2.0, 0.0)),
         air=AirSettings(delay_s=(0.5, 1.0)),

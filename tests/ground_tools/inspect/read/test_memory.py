@@ -12,10 +12,10 @@ import pytest
 from bench.commands import big_log
 from tests.support import onboard_logs
 
-SHORT_MB, LONG_MB = 20, 80
-MOST_MORE_MB = 8.0
-"""Four times the flights, each with its modes and warnings, need 1 to 2 MB more. Decoded messages, if they
-were kept, would be 18 MB more, and the log 60 MB."""
+SHORT_MB, LONG_MB = 10, 40
+MOST_MORE_MB = 4.0
+"""Four times the flights, each with its modes and warnings, need 1 MB more. Decoded messages, if they were
+kept, would be 9 MB more, and the log 30 MB."""
 
 
 def peak_mb(log: Path) -> float:
