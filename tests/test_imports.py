@@ -61,6 +61,7 @@ ORDERS = {
     "companion": ROOMS,
     "sitl_mocks": [
         "signals",
+        "worker_pool",
         "vehicle",
         "remote_id_module",
         "channel",

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -14,6 +11,7 @@ from typing import Final, TypeVar
 from rich.console import Console
 
 from companion.errors import ConfigError
+from sitl_mocks.worker_pool import interrupts_held, worker_pool
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -45,11 +43,11 @@ def in_parallel(
             raise
         return
     with _pool(min(processes, len(items)), words) as pool:
-        with _interrupts_held():
+        with interrupts_held():
             futures = {pool.submit(function, item): item for item in items}
         for future in as_completed(futures):
             result = future.result()
-            with _interrupts_held():
+            with interrupts_held():
                 yield futures.pop(future), result
 
 
@@ -86,10 +84,10 @@ def rounds_in_parallel(
                     items = next(works[number]) if results is None else works[number].send(results)
                 except StopIteration as end:
                     rounds.pop(number, None)
-                    with _interrupts_held():
+                    with interrupts_held():
                         yield number, end.value
                     continue
-                with _interrupts_held():
+                with interrupts_held():
                     rounds[number] = [pool.submit(function, item) for item in items]
                 waiting.update(rounds[number])
             if waiting and all(rounds.values()):
@@ -113,31 +111,9 @@ def _alone(function: Callable[[Item], Result], work: Generator[list[Item], list[
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Let a Ctrl-C wait until the end of the block: while the pool starts, which cannot be shut down then,
-    and while the caller stores a result, where it would escape the pool's own answer to it."""
-    if threading.current_thread() is not threading.main_thread():  # only that one is interrupted
-        yield
-        return
-    pressed: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
-    # A worker inherits the mask, so that nothing interrupts it before it can ignore a Ctrl-C.
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        signal.signal(signal.SIGINT, before)
-        if pressed:
-            raise KeyboardInterrupt
-
-
-@contextmanager
 def _pool(processes: int, words: Console) -> Iterator[ProcessPoolExecutor]:
-    """Worker processes that ignore Ctrl-C and are stopped when this process receives it."""
-    context = multiprocessing.get_context("spawn")
-    ignored = (signal.SIGINT, signal.SIG_IGN)
-    with ProcessPoolExecutor(processes, context, signal.signal, ignored) as pool:
+    """A worker pool that tells what is kept when it is interrupted or a worker is killed."""
+    with worker_pool(processes) as pool:
         try:
             yield pool
         except BrokenProcessPool as error:
@@ -145,12 +121,6 @@ def _pool(processes: int, words: Console) -> Iterator[ProcessPoolExecutor]:
                 "a worker process was killed (out of memory?); with --out, finished flights are kept and the "
                 "same command continues from them; fewer --processes need less memory"
             ) from error
-        except BaseException as error:
-            # The workers ignore Ctrl-C, and the pool would wait for the remaining items.
-            for child in multiprocessing.active_children():
-                child.terminate()
-            # A thread of the pool that still ended at the interpreter's exit would race with it.
-            pool.shutdown(wait=True, cancel_futures=True)
-            if isinstance(error, KeyboardInterrupt):
-                words.print(_INTERRUPTED)
+        except KeyboardInterrupt:
+            words.print(_INTERRUPTED)
             raise

@@ -7,10 +7,9 @@ import json
 import multiprocessing
 import os
 import queue
-import signal
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, as_completed
 from contextlib import ExitStack
 from functools import partial
 from multiprocessing.queues import Queue
@@ -38,6 +37,7 @@ from sitl_mocks.encounters.lockstep import TICK_S, UTC_AT_START_S, Run, fly, pat
 from sitl_mocks.encounters.scenario_file import RANDOM, Scenario
 from sitl_mocks.encounters.verdict import deviations_of, on_path_limit_m, pairs_of
 from sitl_mocks.vehicle.sensing import SensorOptions
+from sitl_mocks.worker_pool import interrupts_held, worker_pool
 
 _TRUTH_TICKS = 2
 _EXAMPLE = "example: sitl-mocks demo --delay 1 2 --seed 7; sitl-mocks demo --seeds 1-20 --delay 2 3 --json"
@@ -211,7 +211,6 @@ _progress: Queue[tuple[int, float]] | None = None
 
 def _initialise(progress: Queue[tuple[int, float]]) -> None:
     global _progress
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     _progress = progress
 
 
@@ -290,27 +289,28 @@ def _fly_all(
     scenario: Scenario, policy: bytes | None, seeds: list[int], console: Console, folder: Path | None
 ) -> Iterator[Verdict]:
     """Fly both flights of every seed on all cores. Yields verdicts in the order of the seeds."""
-    context = multiprocessing.get_context("spawn")
-    shared: Queue[tuple[int, float]] = context.Queue()
+    with interrupts_held():
+        shared: Queue[tuple[int, float]] = multiprocessing.get_context("spawn").Queue()
+    waiting = list(seeds)
     with (
         Progress(console=console, transient=True, disable=not console.is_terminal) as bar,
-        ProcessPoolExecutor(_workers(seeds), context, _initialise, (shared,)) as pool,
+        worker_pool(_workers(seeds), _initialise, shared) as pool,
     ):
-        tasks: dict[Future[Outcome], int] = {}
-        for seed in seeds:
-            for avoided in (True, False):
-                what = "with avoidance" if avoided else "without avoidance"
-                task = bar.add_task(f"seed {seed}, {what}", total=1.0, visible=len(seeds) <= 4)
-                where = folder if folder is None or avoided else folder / "unavoided"
-                if where is not None:
-                    where.mkdir(exist_ok=True)
-                future = pool.submit(
-                    _fly_one, scenario, seed, task, avoided=avoided, folder=where, policy=policy
-                )
-                tasks[future] = int(task)
-        outcomes: dict[tuple[int, bool], Outcome] = {}
-        waiting = list(seeds)
         try:
+            tasks: dict[Future[Outcome], int] = {}
+            with interrupts_held():
+                for seed in seeds:
+                    for avoided in (True, False):
+                        what = "with avoidance" if avoided else "without avoidance"
+                        task = bar.add_task(f"seed {seed}, {what}", total=1.0, visible=len(seeds) <= 4)
+                        where = folder if folder is None or avoided else folder / "unavoided"
+                        if where is not None:
+                            where.mkdir(exist_ok=True)
+                        future = pool.submit(
+                            _fly_one, scenario, seed, task, avoided=avoided, folder=where, policy=policy
+                        )
+                        tasks[future] = int(task)
+            outcomes: dict[tuple[int, bool], Outcome] = {}
             for future in _completed(tasks, shared, bar):
                 outcome = future.result()
                 outcomes[outcome.seed, outcome.avoided] = outcome
@@ -318,11 +318,6 @@ def _fly_all(
                     seed = waiting.pop(0)
                     yield Verdict(seed, scenario, outcomes[seed, True], outcomes[seed, False])
         except KeyboardInterrupt:
-            # The workers ignore Ctrl-C, and the pool would wait for the flights that have begun.
-            for child in multiprocessing.active_children():
-                child.terminate()
-            # A thread of the pool that still ended at the interpreter's exit would race with it.
-            pool.shutdown(wait=True, cancel_futures=True)
             above = " The results so far are above." if waiting != seeds else ""
             console.print(f"Interrupted.{above}")
             raise

@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import os
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from pathlib import Path
@@ -31,6 +30,7 @@ from sitl_mocks.examinations.modelled_link import Kind, ModelledLink
 from sitl_mocks.examinations.schedule_file import read_schedule, write_schedule
 from sitl_mocks.examinations.shrink import shortest
 from sitl_mocks.examinations.world import Use
+from sitl_mocks.worker_pool import interrupts_held, worker_pool
 
 _TROUBLES: Final = (
     "link", "reboot", "gnss", "estimator", "mode", "sticks", "garbage", "mission", "companion", "stall",
@@ -225,10 +225,10 @@ def run(args: argparse.Namespace) -> int:
     pairs: list[tuple[Firmware, Use]] = list(product(Firmware, ("guard", "fly")))
     hours, broken = args.hours / len(pairs), False
     idle: list[str] = []
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(len(pairs), os.cpu_count() or 1), mp_context=spawn) as pool:
+    with worker_pool(min(len(pairs), os.cpu_count() or 1)) as pool:
         began = time.monotonic()
-        flown = {pool.submit(_pair, *pair, args.seed, hours, args.portions): pair for pair in pairs}
+        with interrupts_held():
+            flown = {pool.submit(_pair, *pair, args.seed, hours, args.portions): pair for pair in pairs}
         for future in as_completed(flown):
             firmware, use = flown[future]
             result = future.result()

@@ -32,3 +32,14 @@ def test_a_signal_ends_all_flights(start, number):
     until(lambda: not running(flying), "the end of the workers", PATIENCE_S)
     assert "Interrupted" in demo.output
     assert "Traceback" not in demo.output
+
+
+@pytest.mark.parametrize("words", [("demo", "--seeds", "1-200"), ("soak", "--hours", "1000")])
+def test_sigterm_ends_workers_that_are_still_starting(start, words):
+    """The flights would take an hour."""
+    process = start("sitl_mocks", *words)
+    until(lambda: workers(process.process.pid), "the first worker", PATIENCE_S)
+    begun = workers(process.process.pid)
+    assert process.end(signal.SIGTERM) == 130
+    until(lambda: not running(begun), "the end of the workers", PATIENCE_S)
+    assert process.output.strip() in ("", "Interrupted.")

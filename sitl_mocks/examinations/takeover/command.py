@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Final
 
@@ -32,6 +31,7 @@ from sitl_mocks.examinations.takeover.cases import (
     to_schedule,
 )
 from sitl_mocks.examinations.takeover.real_cases import PLACES, many_real
+from sitl_mocks.worker_pool import interrupts_held, worker_pool
 
 _EXAMPLES: Final = """examples:
   sitl-mocks takeover --cases 100000 --seed 1 --jobs 2
@@ -118,9 +118,9 @@ def many(seed: int, cases: int, troubles: tuple[str, ...], portions: int | None,
         for first, count in batches:
             result.merge(some(seed, first, count, troubles, portions))
         return result
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
-        flown = [pool.submit(some, seed, first, count, troubles, portions) for first, count in batches]
+    with worker_pool(jobs) as pool:
+        with interrupts_held():
+            flown = [pool.submit(some, seed, first, count, troubles, portions) for first, count in batches]
         for future in as_completed(flown):
             result.merge(future.result())
     return result

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-
 import pytest
 
 from sitl_mocks.encounters import demo
@@ -11,8 +9,5 @@ from sitl_mocks.encounters import demo
 
 @pytest.fixture
 def one_worker(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`demo` starts one worker process instead of two. It is a fork of this process, because a new one takes
-    more CPU time to start than a short encounter to fly."""
+    """`demo` starts one worker process instead of two, because each takes seconds of CPU time to start."""
     monkeypatch.setattr(demo, "_workers", lambda seeds: 1)
-    forked = multiprocessing.get_context("fork")
-    monkeypatch.setattr(multiprocessing, "get_context", lambda _method: forked)

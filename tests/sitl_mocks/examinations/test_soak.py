@@ -211,7 +211,7 @@ def test_a_companion_that_sent_nothing_has_no_result(monkeypatch, capsys, setpoi
         return soak.Flown(0.25, "udp", Told(setpoints=own))
 
     monkeypatch.setattr(soak, "_pair", flown)
-    monkeypatch.setattr(soak, "ProcessPoolExecutor", lambda count, mp_context: ThreadPoolExecutor(count))
+    monkeypatch.setattr(soak, "worker_pool", ThreadPoolExecutor)
     assert cli.main(["soak"]) == code
     assert words in capsys.readouterr().out.splitlines()[-1]
 
