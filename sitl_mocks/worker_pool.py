@@ -33,11 +33,12 @@ def worker_pool(
         try:
             yield pool
         except BaseException:
-            # The pool would wait for the remaining work.
-            for child in multiprocessing.active_children():
-                child.terminate()
-            # A thread of the pool that still ended at the interpreter's exit would race with it.
-            pool.shutdown(wait=True, cancel_futures=True)
+            # The pool would wait for the remaining work, also if a further Ctrl-C interrupted its end.
+            with interrupts_held():
+                for child in multiprocessing.active_children():
+                    child.terminate()
+                # A thread of the pool that still ended at the interpreter's exit would race with it.
+                pool.shutdown(wait=True, cancel_futures=True)
             raise
 
 
