@@ -33,11 +33,14 @@ def worker_pool(
         try:
             yield pool
         except BaseException:
-            # The pool would wait for the remaining work.
-            for child in multiprocessing.active_children():
-                child.terminate()
-            # A thread of the pool that still ended at the interpreter's exit would race with it.
-            pool.shutdown(wait=True, cancel_futures=True)
+            # The pool would wait for the remaining work, also if a further Ctrl-C interrupted its end.
+            with interrupts_held():
+                for child in multiprocessing.active_children():
+                    child.terminate()
+                # The pool would wait for the rest of a result that a worker was sending.
+                pool._result_queue._writer.close()  # type: ignore[attr-defined]
+                # A thread of the pool that still ended at the interpreter's exit would race with it.
+                pool.shutdown(wait=True, cancel_futures=True)
             raise
 
 

@@ -1,0 +1,66 @@
+"""Worker processes and the signals that end them."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import struct
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sitl_mocks.worker_pool import interrupts_held, worker_pool
+from tests.support.waiting import until
+
+
+def write_later(path: Path) -> None:
+    time.sleep(3.0)
+    path.touch()
+
+
+def begin_a_result(path: Path) -> None:
+    """Send the first part of a result, as a worker does that is ended while it sends a long one."""
+    results = sys._getframe(1).f_locals["result_queue"]
+    os.write(results._writer.fileno(), struct.pack("!i", 1000))
+    path.touch()
+    time.sleep(600.0)
+
+
+@pytest.mark.timeout(60)
+def test_the_rest_of_a_result_is_not_waited_for(tmp_path: Path) -> None:
+    def work() -> None:
+        with worker_pool(1) as pool:
+            with interrupts_held():
+                pool.submit(begin_a_result, tmp_path / "begun")
+            until((tmp_path / "begun").exists, "the first part", 50.0)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert multiprocessing.active_children() == []
+
+
+def test_a_second_ctrl_c_does_not_make_the_pool_wait_for_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It comes while the first one ends the workers."""
+    children = multiprocessing.active_children
+
+    def interrupted() -> list[multiprocessing.process.BaseProcess]:
+        signal.raise_signal(signal.SIGINT)
+        return children()
+
+    def work() -> None:
+        with worker_pool(1) as pool:
+            with interrupts_held():
+                pool.submit(write_later, tmp_path / "written")
+            monkeypatch.setattr(multiprocessing, "active_children", interrupted)
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert children() == []
+    assert list(tmp_path.iterdir()) == []
