@@ -7,8 +7,11 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, Final
+
+from companion.errors import ConfigError
 
 _INTERRUPTS: Final = (signal.SIGINT, signal.SIGTERM)
 
@@ -25,6 +28,9 @@ def worker_pool(
     Args:
         processes: Greatest number of worker processes.
         initializer: Function that each worker calls first, with `arguments`.
+
+    Raises:
+        ConfigError: A worker was killed from outside.
     """
     context = multiprocessing.get_context("spawn")
     with interrupts_held():
@@ -32,6 +38,8 @@ def worker_pool(
     with pool:
         try:
             yield pool
+        except BrokenProcessPool as error:
+            raise ConfigError("a worker process was killed (out of memory?)") from error
         except BaseException:
             # The pool would wait for the remaining work, also if a further Ctrl-C interrupted its end.
             with interrupts_held():

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from companion.errors import ConfigError
 from sitl_mocks.worker_pool import interrupts_held, worker_pool
 from tests.support.waiting import until
 
@@ -40,6 +41,16 @@ def test_the_rest_of_a_result_is_not_waited_for(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         work()
+    assert multiprocessing.active_children() == []
+
+
+def killed() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_worker_is_reported() -> None:
+    with pytest.raises(ConfigError, match="a worker process was killed"), worker_pool(1) as pool:
+        pool.submit(killed).result()
     assert multiprocessing.active_children() == []
 
 
