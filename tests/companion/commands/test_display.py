@@ -257,7 +257,8 @@ def test_a_browser_draws_every_track_and_asks_nobody_else(flight, width):
         assert math.hypot(x, y) == pytest.approx(scale * BUSY.tracks[5].distance_m, abs=0.1)
         assert math.degrees(math.atan2(x, -y)) == pytest.approx(BUSY.tracks[5].bearing_deg, abs=0.1)
         assert page.page.evaluate("document.documentElement.scrollWidth") <= width
-        assert page.page.locator("#trouble").is_hidden()
+        # On a busy machine, an answer may have come late.
+        page.page.wait_for_selector("#trouble", state="hidden")
         assert all(
             url.startswith((f"http://127.0.0.1:{display.server_port}/", "data:")) for url in page.requests
         )
