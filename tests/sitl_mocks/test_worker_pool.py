@@ -44,6 +44,12 @@ def test_the_rest_of_a_result_is_not_waited_for(tmp_path: Path) -> None:
     assert multiprocessing.active_children() == []
 
 
+def test_each_worker_calls_the_initializer_and_ignores_ctrl_c(tmp_path: Path) -> None:
+    with worker_pool(1, Path.touch, tmp_path / "begun") as pool:
+        assert pool.submit(signal.getsignal, signal.SIGINT).result() is signal.SIG_IGN
+    assert (tmp_path / "begun").exists()
+
+
 def killed() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
