@@ -120,7 +120,9 @@ class Schedule:
         for transport, rate in rates.items():
             if transport not in can_send:
                 continue
-            lane = self._lanes.setdefault(transport, _Lane(rate=rate, began_s=now_s, next_s=now_s))
+            if transport not in self._lanes:
+                self._lanes[transport] = _Lane(rate=rate, began_s=now_s, next_s=now_s)
+            lane = self._lanes[transport]
             if lane.rate != rate:
                 lane.rate = rate
                 lane.next_s = min(lane.next_s, now_s + GNSS_CYCLE_S / rate)
@@ -128,9 +130,13 @@ class Schedule:
     def _leave(self, now_s: float) -> None:
         """Take transports off the air when their successors, which began at once, have been there long
         enough."""
-        for transport, lane in list(self._lanes.items()):
-            if lane.leaving_s is not None and now_s - lane.leaving_s >= OVERLAP_S:
-                del self._lanes[transport]
+        over = [
+            transport
+            for transport, lane in self._lanes.items()
+            if lane.leaving_s is not None and now_s - lane.leaving_s >= OVERLAP_S
+        ]
+        for transport in over:
+            del self._lanes[transport]
 
     def _due_kinds(
         self, transport: str, lane: _Lane, limits_s: Mapping[type[Message], float | None], now_s: float
