@@ -164,7 +164,8 @@ def hold(beliefs: list[Belief], told: Belief, now_s: float, least_s: float) -> N
     for number, belief in enumerate(beliefs):
         if belief.agrees(told):
             news = told.told_s - belief.told_s >= least_s
-            beliefs[number] = (told if news else belief)._replace(agreed_s=now_s)
+            kept = told if news else belief
+            beliefs[number] = kept if kept.agreed_s == now_s else kept._replace(agreed_s=now_s)
             return
     beliefs.append(told)
 
