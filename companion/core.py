@@ -33,6 +33,7 @@ from companion.events import (
     FenceRefused,
     GateAuthority,
     GateRefused,
+    GlobalPosition,
     Heartbeat,
     InputBehind,
     Landed,
@@ -160,14 +161,24 @@ class Companion:
         Returns the modes that the vehicle reported, in the form that `Control.step` takes.
         """
         own = self.own
-        behind = next((e for e in events if isinstance(e, InputBehind)), None)
+        behind: InputBehind | None = None
+        for event in events:
+            if isinstance(event, InputBehind):
+                behind = event
+                break
         sent_s = now_s if behind is None else min(behind.since_s, now_s)
         shown: list[Heartbeat] = []
         heard: list[RemoteIdHeard] = []
         seen: list[AdsbVehicle] = []
         sensed: list[Event] = []
         for event in events:
+            # A step compares each event with the cases in turn, so the most frequent ones come first.
             match event:
+                case GlobalPosition():
+                    own.observe(event, now_s, sent_s)
+                case LocalPosition():
+                    own.observe(event, now_s, sent_s)
+                    sensed.append(event)
                 case RemoteIdHeard():
                     heard.append(event)
                     self.broadcaster.observe(event, now_s)
@@ -175,9 +186,6 @@ class Companion:
                     if not is_published(event):
                         seen.append(event)
                 case Attitude() | ObstacleScan() | ObstaclePoint() | SensedAircraft():
-                    sensed.append(event)
-                case LocalPosition():
-                    own.observe(event, now_s, sent_s)
                     sensed.append(event)
                 case RadioState() | OperatorData() | RemoteIdModule():
                     self.broadcaster.observe(event, now_s)

@@ -16,6 +16,7 @@ from companion.avoidance.law import LawResult, Neighbour, Situation
 from companion.config import Config
 from companion.events import AlertChanged, Command, Decision, Say, Severity
 from companion.events.sensed import SENSED_WALL
+from companion.geometry import Vec3
 from companion.ownship import Ownship
 from companion.traffic.adsb import AdsbTraffic
 from companion.traffic.sensed import SensedTraffic
@@ -90,10 +91,10 @@ class Decider:
             self._told_late_s = self._course.late_s
         held = state in HOLDING
         self._heights_m = self._containment.keep(now_s) if held else None
-        self._neighbours = self._heard(now_s)
         here, velocity = self._own.position_ned_m(now_s), self._own.velocity_ned_mps
+        self._neighbours = self._heard(now_s, here)
         admitted = self.allowances.admitted(now_s, here, velocity, self._neighbours)
-        situation = self._situation(now_s, admitted)
+        situation = self._situation(now_s, here, admitted)
         result = law.decide(situation)
         back = state is State.GUARDING
         self.allowances.charge(now_s, here, velocity, result, held=held, back=back)
@@ -113,7 +114,7 @@ class Decider:
     def look(self, now_s: float) -> list[Command]:
         """Run a cycle that only judges alerts, while the law does not decide."""
         self._decided_s = now_s
-        self._neighbours = self._heard(now_s)
+        self._neighbours = self._heard(now_s, self._own.position_ned_m(now_s))
         return self._alert(now_s, None)
 
     def let_go(self) -> None:
@@ -122,12 +123,11 @@ class Decider:
         self._told_late_s = None
         self._containment.let_go()
 
-    def _heard(self, now_s: float) -> list[Neighbour]:
-        down_m = self._own.position_ned_m(now_s)[2]
-        heard = self._traffic.neighbours(now_s) + self._adsb.neighbours(now_s, down_m)
+    def _heard(self, now_s: float, here: Vec3) -> list[Neighbour]:
+        heard = self._traffic.neighbours(now_s) + self._adsb.neighbours(now_s, here[2])
         return heard if self._sensed is None else self._sensed.joined(now_s, self._own, heard)
 
-    def _situation(self, now_s: float, neighbours: Sequence[Neighbour]) -> Situation:
+    def _situation(self, now_s: float, here: Vec3, neighbours: Sequence[Neighbour]) -> Situation:
         own, limits, course = self._own, self._config.limits, self._course
         floor_m, ceiling_m = course.floor_height_m(limits), course.ceiling_height_m(limits)
         if self._heights_m is not None:
@@ -135,7 +135,7 @@ class Decider:
         return Situation(
             now_s=now_s,
             path_time_s=course.path_time_s(now_s),
-            position_ned_m=own.position_ned_m(now_s),
+            position_ned_m=here,
             velocity_ned_mps=own.velocity_ned_mps,
             sigma_m=own.sigma_m,
             neighbours=neighbours,

@@ -159,17 +159,23 @@ class LateRequests:
     def judge(self, shown: Sequence[Heartbeat], now_s: float) -> list[Command]:
         """Take in the reported modes, in the order of arrival. Returns messages and requests."""
         before_s, self._seen_s = self._seen_s, self._own.heartbeat_s
+        if not self._asked:
+            self._forget()
+            return []
         over = self._chosen is not None and before_s - self._chosen_s > _OBEYED_LATE_S
         if over or not all(heartbeat.armed for heartbeat in shown):
             self._asked.clear()
         self._asked = {mode: at_s for mode, at_s in self._asked.items() if before_s - at_s <= _OBEYS_S}
         if not self._asked:
-            self._from.clear()
-            self._chosen, self._told = None, False
+            self._forget()
         commands: list[Command] = []
         for heartbeat in shown if self._asked else ():
             commands += self._take(heartbeat, now_s)
         return commands
+
+    def _forget(self) -> None:
+        self._from.clear()
+        self._chosen, self._told = None, False
 
     def _take(self, heartbeat: Heartbeat, now_s: float) -> list[Command]:
         chosen, custom = self._chosen, heartbeat.custom_mode

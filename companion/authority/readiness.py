@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from operator import attrgetter
 
 from companion.adjustable_parameters import SWITCHED_OFF
 from companion.authority.table import State
@@ -32,6 +33,8 @@ _UNSEEN_S, _FALLEN_S = 1.0, 10.0
 """An autopilot that restarts in flight is silent for longer than `_UNSEEN_S`, and then disarmed for less than
 `_FALLEN_S`: a vehicle with its motors off is on the ground by then."""
 _FLYING_ALREADY = "vehicle was flying when the companion started and must land first (flight.take_in_flight)"
+
+_armed = attrgetter("armed")
 
 
 class Readiness:
@@ -191,7 +194,7 @@ class Readiness:
 
 def was_disarmed(shown: Sequence[Heartbeat]) -> bool:
     """Whether the vehicle was disarmed, if only for a moment."""
-    return any(not heartbeat.armed for heartbeat in shown)
+    return not all(map(_armed, shown))
 
 
 def mode_name(heartbeat: Heartbeat | None) -> str:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from companion.authority.table import State
 from companion.avoidance.law import LawResult
@@ -29,8 +28,7 @@ class Cycle(Protocol):
         """Alerts, messages and log entries about the decision just made."""
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(NamedTuple):
     """Result of one step."""
 
     commands: list[Command]

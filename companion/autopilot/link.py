@@ -207,7 +207,7 @@ class AutopilotLink:
             try:
                 if frame.message_id in remote_id.MESSAGE_IDS:
                     self._take_remote_id(frame, now_s)
-                elif self._sensors.takes(frame, self._vehicle_system, self._firmware):
+                elif self._sensors.used and self._sensors.takes(frame, self._vehicle_system, self._firmware):
                     self._take_sensed(frame, now_s)
                 elif self._heard.is_ours(frame):
                     self._take(frame, now_s)

@@ -21,7 +21,6 @@ import math
 import pkgutil
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import compress
 from operator import attrgetter
 
@@ -125,8 +124,7 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """True: not received for some time (`kernels.silent_after`)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Situation:
+class Situation(msgspec.Struct, frozen=True):
     """Input of a decision; NED."""
 
     now_s: float
@@ -235,7 +233,7 @@ class Law:
         """Add an own velocity between decisions; ignored if it is not newer than the last, or not finite."""
         n, e, d = map(float, velocity_ned_mps)
         samples = k.note_velocity(*self._history, self._state.samples, float(now_s), (n, e, d))
-        self._state = self._state._replace(samples=samples)
+        self._state = k.State(*self._state[:-1], samples)
 
     def decide(self, situation: Situation) -> LawResult:
         """Make one decision.

@@ -8,7 +8,6 @@ every other law. An exception, or anything but three numbers of at most `_MOST_M
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Protocol
 
@@ -116,7 +115,7 @@ class PluginLaw(Law):
     def _wish(self, situation: Situation, follow: LawResult) -> Vec3:
         """The velocity that the plug-in asks for; zero after a fault."""
         if self.fault is None and self._own_law is not None:
-            seen = dataclasses.replace(situation, neighbours=tuple(self._take(situation.neighbours)))
+            seen = msgspec.structs.replace(situation, neighbours=tuple(self._take(situation.neighbours)))
             try:
                 return _velocity(self._own_law.choose(seen, follow, self._configured[1]))
             except KeyboardInterrupt:
@@ -138,7 +137,7 @@ def _without_yielding(situation: Situation) -> Situation:
     kept = tuple(other for other in others if not other.presses)
     if not any(math.dist(_now(other), here) < _NEAR_M for other in kept):
         return situation
-    return dataclasses.replace(situation, neighbours=kept)
+    return msgspec.structs.replace(situation, neighbours=kept)
 
 
 def _now(other: Neighbour) -> Vec3:

@@ -55,7 +55,11 @@ class Broadcaster:
         self._config = config
         self._asked = asked_rates(config)
         self._radio = RadioState()
+        self._can_send: frozenset[str] = frozenset()
+        self._monitored: frozenset[str] = frozenset()
         self._operator = Operator()
+        self._kinds = kinds_of(config.remote_id, self._operator)
+        """Kinds of the messages to broadcast."""
         self._schedule = Schedule(config.region, config.identity.uas_id)
         self._monitor = SelfMonitor(config.remote_id.monitor_s)
         self._decided = _NOTHING
@@ -89,8 +93,10 @@ class Broadcaster:
         match event:
             case RadioState():
                 self._radio = event
+                self._can_send, self._monitored = frozenset(event.can_send), frozenset(event.monitored)
             case OperatorData():
                 self._operator.hear(event.messages, now_s)
+                self._kinds = kinds_of(self._config.remote_id, self._operator)
             case RemoteIdModule() if self._config.remote_id.yield_to_module:
                 self._module.observe(event, now_s)
             case RemoteIdHeard():
@@ -134,16 +140,15 @@ class Broadcaster:
 
     def step(self, own: Ownship, now_s: float) -> list[Command]:
         """Commands for this step: broadcasts, changes for the log, texts for the pilot and the ArmStatus."""
-        radio = self._radio
-        can_send = frozenset(radio.can_send)
+        radio, can_send = self._radio, self._can_send
         for transport in radio.confirmed:
             self._monitor.heard(transport, now_s)
         commands = self._watch_module(own, now_s)
         if self._floor is None or self._floor[0] is not self._asked or self._floor[1] != can_send:
             self._floor = self._asked, can_send, keep_floor(self._asked, self._config.region, can_send)
         self._decided = self._floor[2]
-        on_air = frozenset() if self.gives_way else frozenset(self._schedule.on_air)
-        self._silent = self._monitor.silent(on_air, frozenset(radio.monitored), now_s)
+        on_air = frozenset() if self.gives_way else self._schedule.on_air.keys()
+        self._silent = self._monitor.silent(on_air, self._monitored, now_s)
         if own.heartbeat is None:
             return commands
         rates: Mapping[str, int] = {}
@@ -155,15 +160,15 @@ class Broadcaster:
             may_begin = self._decided.legal or own.landed(now_s) is Landed.IN_AIR
             self._started = self._started or (may_begin and bool(self._decided.rates))
             rates = self._decided.rates if self._started else {}
-            kinds = kinds_of(config.remote_id, self._operator)
-            due = self._schedule.due(rates, can_send, radio.wifi_channel, kinds, now_s)
+            due = self._schedule.due(rates, can_send, radio.wifi_channel, self._kinds, now_s)
             messages = self._messages(own, now_s) if due else ()
             commands += [
                 Broadcast(transport=transport, messages=tuple(m for m in messages if type(m) in sent))
                 for transport, sent in due
             ]
-        self._log(rates, commands)
-        self._tell_pilot(commands, now_s)
+        trouble = self.trouble
+        self._log(rates, trouble, commands)
+        self._tell_pilot(trouble, commands, now_s)
         self._tell_lacking(own, commands, now_s)
         if self._config.remote_id.component:
             self._report(commands, now_s)
@@ -182,23 +187,21 @@ class Broadcaster:
         text = "DMUCA: the vehicle's Remote ID module fell silent; broadcasting instead"
         return [Say(severity=Severity.WARNING, text=text)]
 
-    def _log(self, rates: Mapping[str, int], commands: list[Command]) -> None:
+    def _log(self, rates: Mapping[str, int], trouble: str | None, commands: list[Command]) -> None:
         """Log a change of the broadcast."""
         module = self._module.report
         if module is not None:
             reason = f"the vehicle's own Remote ID module (component {module.component_id}) broadcasts"
         else:
             reason = self._decided.reason
-        trouble = self.trouble
         told = (tuple(sorted(rates.items())), self._decided.legal, reason, trouble)
         if told != self._told:
             self._told = told
             commands.append(BroadcastChanged(rates=told[0], legal=told[1], reason=trouble or reason))
 
-    def _tell_pilot(self, commands: list[Command], now_s: float) -> None:
+    def _tell_pilot(self, trouble: str | None, commands: list[Command], now_s: float) -> None:
         """Report trouble, and later its end, to the pilot. `_TELL_PERIOD_S` and `_WELL_AFTER_S` limit the
         number of texts."""
-        trouble = self.trouble
         if trouble is not None:
             self._trouble_s = now_s
         if trouble == self._said:

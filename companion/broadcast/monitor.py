@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
+
 
 class SelfMonitor:
     """Watches transports on which a receiver of ours can hear us, or whose radio reports its own state.
@@ -23,13 +25,16 @@ class SelfMonitor:
         if transport in self._since_s:
             self._since_s[transport] = now_s
 
-    def silent(self, on_air: frozenset[str], monitored: frozenset[str], now_s: float) -> frozenset[str]:
+    def silent(self, on_air: Set[str], monitored: frozenset[str], now_s: float) -> frozenset[str]:
         """Transports that should be heard and are not.
 
         Args:
             on_air: transports that are in use now.
             monitored: transports that could be heard.
         """
+        if not monitored:
+            self._since_s.clear()
+            return frozenset()
         watched = on_air & monitored
         for transport in self._since_s.keys() - watched:
             del self._since_s[transport]

@@ -57,6 +57,8 @@ class Schedule:
         self._region = region
         self._phase = zlib.crc32(identity.encode()) / 2**32
         self._lanes: dict[str, _Lane] = {}
+        self._wanted: tuple[Mapping[str, int], frozenset[str]] | None = None
+        """Rates and working transports of which `_lanes` is the result."""
         self._last_s: float | None = None
         self._step_s = 0.0
         self._limits: dict[
@@ -72,6 +74,7 @@ class Schedule:
     def stop(self) -> None:
         """Take all transports off the air. They begin anew when they are wanted again."""
         self._lanes.clear()
+        self._wanted = None
 
     def due(
         self,
@@ -84,7 +87,7 @@ class Schedule:
         """Transports to send on now, each with the kinds of messages to send there.
 
         Args:
-            rates: transports to be on the air, with their Locations a second.
+            rates: transports to be on the air, with their Locations a second. Not changed after the call.
             can_send: transports that work at all.
             wifi_channel: channel of the beacons; None while unknown.
             kinds: kinds of all messages that there are at this time, Location among them.
@@ -95,7 +98,9 @@ class Schedule:
             # now.
             self._step_s = min(max(now_s - self._last_s, 0.9 * self._step_s), _LONGEST_STEP_S)
         self._last_s = now_s
-        self._change(rates, can_send, now_s)
+        if self._wanted is None or self._wanted[0] is not rates or self._wanted[1] is not can_send:
+            self._wanted = rates, can_send
+            self._change(rates, can_send, now_s)
         found = []
         for transport, lane in self._lanes.items():
             key = transport, wifi_channel, kinds
@@ -120,7 +125,9 @@ class Schedule:
         for transport, rate in rates.items():
             if transport not in can_send:
                 continue
-            lane = self._lanes.setdefault(transport, _Lane(rate=rate, began_s=now_s, next_s=now_s))
+            if transport not in self._lanes:
+                self._lanes[transport] = _Lane(rate=rate, began_s=now_s, next_s=now_s)
+            lane = self._lanes[transport]
             if lane.rate != rate:
                 lane.rate = rate
                 lane.next_s = min(lane.next_s, now_s + GNSS_CYCLE_S / rate)
@@ -128,9 +135,13 @@ class Schedule:
     def _leave(self, now_s: float) -> None:
         """Take transports off the air when their successors, which began at once, have been there long
         enough."""
-        for transport, lane in list(self._lanes.items()):
-            if lane.leaving_s is not None and now_s - lane.leaving_s >= OVERLAP_S:
-                del self._lanes[transport]
+        over = [
+            transport
+            for transport, lane in self._lanes.items()
+            if lane.leaving_s is not None and now_s - lane.leaving_s >= OVERLAP_S
+        ]
+        for transport in over:
+            del self._lanes[transport]
 
     def _due_kinds(
         self, transport: str, lane: _Lane, limits_s: Mapping[type[Message], float | None], now_s: float

@@ -158,13 +158,20 @@ class Belief(NamedTuple):
         return math.hypot(ovn - vn, ove - ve, ovd - vd) <= _GENTLE_MPS + _GENTLE_MPS2 * room_s
 
 
-def hold(beliefs: list[Belief], told: Belief, now_s: float, least_s: float) -> None:
+def hold(
+    beliefs: list[Belief], told: Belief, now_s: float, least_s: float, agreeing: Belief | None = None
+) -> None:
     """Add a belief, or replace one that agrees with it and was received at least `least_s` earlier. An
-    agreeing belief that is kept counts as confirmed."""
+    agreeing belief that is kept counts as confirmed.
+
+    Args:
+        agreeing: a belief that is known to agree; None if none is.
+    """
     for number, belief in enumerate(beliefs):
-        if belief.agrees(told):
+        if belief is agreeing or belief.agrees(told):
             news = told.told_s - belief.told_s >= least_s
-            beliefs[number] = (told if news else belief)._replace(agreed_s=now_s)
+            kept = told if news else belief
+            beliefs[number] = kept if kept.agreed_s == now_s else kept._replace(agreed_s=now_s)
             return
     beliefs.append(told)
 

@@ -71,19 +71,22 @@ def neighbours_of(
         )
         for t in tracks
     ]
+    odd = [
+        (other, track)
+        for other, track in zip(present, tracks, strict=True)
+        if track.signal.suspicion.beside > kernels.BESIDE or track.doubts.flags or track.aside
+    ]
+    if not odd:
+        return present
     signalled = [
         _signalled(other, track.signal.suspicion)
-        for other, track in zip(present, tracks, strict=True)
+        for other, track in odd
         if track.signal.suspicion.beside > kernels.BESIDE
     ]
-    moved = [
-        _moved(other, track)
-        for other, track in zip(present, tracks, strict=True)
-        if track.doubts.flags and Flag.VELOCITY_MISMATCH in track.doubts.flags
-    ]
+    moved = [_moved(other, track) for other, track in odd if Flag.VELOCITY_MISMATCH in track.doubts.flags]
     aside = [
         (loss_s(belief), f"{other.track_id}{ASIDE}{number}", other, belief)
-        for other, track in zip(present, tracks, strict=True)
+        for other, track in odd
         for number, belief in enumerate(track.aside, 1)
         if now_s - belief.agreed_s <= track.believed_s
     ]

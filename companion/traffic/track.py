@@ -258,12 +258,11 @@ class Track:
         contradicted = self.present is not None and not self.present.agrees(told)
         if self.present is not None and contradicted and taken:
             hold(beliefs, self.present, now_s, 0.0)
-        hold(beliefs, told, now_s, 0.0 if contradicted and not taken else _EARLIER_S)
+        agreeing = None if contradicted else self.present
+        hold(beliefs, told, now_s, 0.0 if contradicted and not taken else _EARLIER_S, agreeing)
         while len(beliefs) > _BELIEFS:
             beliefs.remove(max(beliefs, key=loss_s))
-        if taken or self.present is None:
-            self.present = told
-        present = self.present
+        self.present = present = told if taken or self.present is None else self.present
         self.beliefs = tuple(beliefs)
         self.aside = tuple(b for b in beliefs if not b.agrees(present)) if len(beliefs) > 1 else ()
 
@@ -418,8 +417,9 @@ def beside(track: Track, fix: Fix, now_s: float) -> bool:
 def lead(leads_s: deque[float]) -> float:
     """How far the sender's clock leads ours: the second largest lead, so that one wrong timestamp has no
     effect; at least 0."""
-    ordered = sorted(leads_s)
-    return max(0.0, ordered[-2] if len(ordered) > 1 else ordered[-1])
+    if max(leads_s) <= 0.0:  # of most senders, because messages are delayed
+        return 0.0
+    return max(0.0, sorted(leads_s)[-2:][0])
 
 
 def same(a: Location, b: Location) -> bool:

@@ -277,7 +277,8 @@ def fly(
             watch(ether)
         for number, aircraft in enumerate(fleet):
             truth[number, tick] = aircraft.vehicle.position_ned_m
-            _measure(aircraft, scenario, now_s - SETTLE_S, near)
+            if scenario.obstacle:
+                _measure(aircraft, scenario, now_s - SETTLE_S, near)
         if progress is not None and tick % 20 == 0:
             progress(tick / ticks)
     ether.finish((ticks - 1) * TICK_S)

@@ -52,6 +52,16 @@ class Payload(NamedTuple):
     body: bytes
 
 
+def packed(kind: type[MavlinkMessage], *fields: float) -> Payload:
+    """A message of one of pymavlink's classes, without an object of that class, which takes three times as
+    long to make and to encode.
+
+    Args:
+        fields: all fields in wire order, which is that of `kind.ordered_fieldnames`.
+    """
+    return Payload(kind.id, kind.unpacker.pack(*fields))
+
+
 class SetpointMessage(NamedTuple):
     """SET_POSITION_TARGET_LOCAL_NED, fields in wire order (m, m/s, rad; NED or body axes by the frame)."""
 

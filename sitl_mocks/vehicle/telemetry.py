@@ -16,7 +16,7 @@ from companion.autopilot.wire import CURRENT_MODE, MavlinkMessage
 from companion.events import Landed
 from companion.geometry import Vec3
 from sitl_mocks.vehicle.firmware.behaviour import Manners, VehicleMode
-from sitl_mocks.vehicle.links import Payload
+from sitl_mocks.vehicle.links import Payload, packed
 from sitl_mocks.vehicle.motion.flight import Flight
 from sitl_mocks.vehicle.motion.navigation import Globe, NavigationError
 from sitl_mocks.vehicle.options import VehicleOptions
@@ -144,7 +144,7 @@ class Telemetry:
         body, error = self._flight.body, self._errors.errors
         return body.vn + error[3], body.ve + error[4], body.vd + error[5]
 
-    def heartbeat(self, now_s: float) -> MavlinkMessage:
+    def heartbeat(self, now_s: float) -> Payload:
         """Build HEARTBEAT."""
         flight, manners = self._flight, self._manners
         base = manners.base_modes[flight.mode] | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if flight.armed else 0)
@@ -155,8 +155,14 @@ class Telemetry:
         else:
             status = mavlink.MAV_STATE_ACTIVE
         mode = manners.custom_modes[flight.mode]
-        return mavlink.MAVLink_heartbeat_message(
-            mavlink.MAV_TYPE_QUADROTOR, manners.autopilot_id, base, mode, status, 3
+        return packed(
+            mavlink.MAVLink_heartbeat_message,
+            mode,
+            mavlink.MAV_TYPE_QUADROTOR,
+            manners.autopilot_id,
+            base,
+            status,
+            3,
         )
 
     def current_mode(self, now_s: float) -> Payload:
@@ -252,11 +258,12 @@ class Telemetry:
         )
         return Payload(mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, body)
 
-    def _scaled_pressure(self, now_s: float) -> MavlinkMessage:
+    def _scaled_pressure(self, now_s: float) -> Payload:
         """The pressure of the standard atmosphere, without weather, at the true height."""
         altitude = self._options.home_alt_msl_m - self._flight.body.down
         pressure_hpa = 1013.25 * (1.0 - altitude / 44_330.77) ** (1.0 / 0.190263)
-        return mavlink.MAVLink_scaled_pressure_message(self._boot_ms(now_s), pressure_hpa, 0.0, 1500)
+        kind = mavlink.MAVLink_scaled_pressure_message
+        return packed(kind, self._boot_ms(now_s), pressure_hpa, 0.0, 1500, 0)
 
     def attitude_rad(self) -> Vec3:
         """Roll, pitch and yaw of a multicopter with this acceleration."""
@@ -306,14 +313,14 @@ class Telemetry:
         cells = [self._millivolts, *[0xFFFF] * 9]
         return mavlink.MAVLink_battery_status_message(0, 0, 0, 0x7FFF, cells, 0, 0, -1, self._percent)
 
-    def _rc_channels(self, now_s: float) -> MavlinkMessage | None:
+    def _rc_channels(self, now_s: float) -> Payload | None:
         """Channels 1 to 4: roll, pitch, throttle, yaw."""
         troubles = self._troubles
         if not troubles.rc_connected:
             return None
         sticks = [round(1500.0 + 500.0 * stick) for stick in troubles.sticks]
         channels = [*sticks, *[1500] * 4, *[0xFFFF] * 10]
-        return mavlink.MAVLink_rc_channels_message(self._boot_ms(now_s), 8, *channels, 200)
+        return packed(mavlink.MAVLink_rc_channels_message, self._boot_ms(now_s), *channels, 8, 200)
 
     def _estimator_status(self, now_s: float) -> MavlinkMessage:
         """EKF_STATUS_REPORT or ESTIMATOR_STATUS. Both have the same flag bits, but the constant-position flag
@@ -359,15 +366,14 @@ class Telemetry:
     def _remote_id_system(self, now_s: float) -> MavlinkMessage:
         return home_system(self._options, self._utc_s(now_s))
 
-    def _system_time(self, now_s: float) -> MavlinkMessage:
+    def _system_time(self, now_s: float) -> Payload:
         utc_s = self._utc_s(now_s)
         usec = 0 if utc_s is None else round(utc_s * 1e6)
-        return mavlink.MAVLink_system_time_message(usec, self._boot_ms(now_s))
+        return packed(mavlink.MAVLink_system_time_message, usec, self._boot_ms(now_s))
 
-    def _extended_sys_state(self, now_s: float) -> MavlinkMessage:
-        return mavlink.MAVLink_extended_sys_state_message(
-            self._manners.vtol_state, _LANDED[self._flight.landed]
-        )
+    def _extended_sys_state(self, now_s: float) -> Payload:
+        kind, landed = mavlink.MAVLink_extended_sys_state_message, _LANDED[self._flight.landed]
+        return packed(kind, self._manners.vtol_state, landed)
 
     def _mission_current(self, now_s: float) -> MavlinkMessage:
         flight, total = self._flight, self._book.flown_count
@@ -384,8 +390,8 @@ class Telemetry:
             state = mavlink.MISSION_STATE_NOT_STARTED
         return mavlink.MAVLink_mission_current_message(flight.runner.seq, total, state, 0)
 
-    def _timesync(self, now_s: float) -> MavlinkMessage:
-        return mavlink.MAVLink_timesync_message(0, self.boot_ns(now_s))
+    def _timesync(self, now_s: float) -> Payload:
+        return packed(mavlink.MAVLink_timesync_message, 0, self.boot_ns(now_s))
 
     def _origin(self, now_s: float) -> MavlinkMessage:
         return mavlink.MAVLink_gps_global_origin_message(*self._home(), round((now_s - self.boot_s) * 1e6))

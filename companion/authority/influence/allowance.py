@@ -221,7 +221,7 @@ class Allowances:
                 continue
             if not known.latest.crewed and _is_inside(here, view):
                 inside.add(known)
-            if self._note_near(now_s, here, view, known):
+            if now_s - known.first_s <= _NEW_S and self._note_near(now_s, here, view, known):
                 known.appeared_s = now_s
             if held and (view.conflict or view.active):
                 acting.append(_Acting(known, view.conflict))
@@ -239,9 +239,10 @@ class Allowances:
         )
 
     def _note_near(self, now_s: float, here: Vec3, view: TrackView, known: Remembered) -> bool:
-        """Note a track that appears near us. Returns True if an earlier batch appeared not long before."""
+        """Note a new track that appears near us. Returns True if an earlier batch appeared not long
+        before."""
         other = known.latest
-        if now_s - known.first_s > _NEW_S or other.known_s > _NEW_S or view.track_id != other.track_id:
+        if other.known_s > _NEW_S or view.track_id != other.track_id:
             return False
         if other.split or not _is_inside(here, view, NEAR_M):
             return False

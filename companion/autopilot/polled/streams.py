@@ -121,8 +121,8 @@ class Streams:
         return [
             (message_id, round(1e6 / stream.rate_hz))
             for message_id, stream in self._streams.items()
-            if FIRMWARE_OF.get(message_id, self._firmware) is self._firmware
-            and now_s >= stream.check_s
+            if now_s >= stream.check_s
+            and FIRMWARE_OF.get(message_id, self._firmware) is self._firmware
             and self._short(stream, now_s)
         ]
 

@@ -83,6 +83,10 @@ class NavigationError:
             return
         draws = self._rng.standard_normal(6).tolist()
         self.errors = tuple(
-            keep * error + drive * draw
-            for keep, error, drive, draw in zip(self._keeps, self.errors, self._drives, draws, strict=True)
+            [
+                keep * error + drive * draw
+                for keep, error, drive, draw in zip(
+                    self._keeps, self.errors, self._drives, draws, strict=True
+                )
+            ]
         )

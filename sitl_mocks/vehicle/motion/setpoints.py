@@ -10,32 +10,27 @@ Rules, as observed on the real firmwares:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
+import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.geometry import Vec3
 from sitl_mocks.vehicle.firmware.behaviour import Manners
 from sitl_mocks.vehicle.links import SetpointMessage
 
-_POSITION = (
-    mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE,
-    mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE,
-    mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE,
-)
-_VELOCITY = (
-    mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE,
-    mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE,
-    mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE,
-)
+_X = mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE
+_Y = mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE
+_Z = mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE
+_VX = mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+_VY = mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE
+_VZ = mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE
 _YAW = mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
 _YAW_RATE = mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
 _BODY_OFFSET = mavlink.MAV_FRAME_BODY_OFFSET_NED
 _LOCAL_OFFSET = mavlink.MAV_FRAME_LOCAL_OFFSET_NED
 
 
-@dataclass(frozen=True, slots=True)
-class Setpoint:
+class Setpoint(msgspec.Struct, frozen=True):
     """What to fly until the next setpoint: a velocity (NED, m/s), a position to hold (NED, m), a heading."""
 
     velocity_ned_mps: Vec3 = (0.0, 0.0, 0.0)
@@ -73,9 +68,9 @@ def interpret(
     if frame in (_LOCAL_OFFSET, _BODY_OFFSET):
         north, east, down = position_ned_m
         position = (position[0] + north, position[1] + east, position[2] + down)
-    has_position = tuple(not mask & bit for bit in _POSITION)
-    has_velocity = tuple(not mask & bit for bit in _VELOCITY)
-    if any(has_velocity) and not manners.needs_whole_velocity:
+    has_position = not mask & _X, not mask & _Y, not mask & _Z
+    has_velocity = not mask & _VX, not mask & _VY, not mask & _VZ
+    if not manners.needs_whole_velocity and any(has_velocity) and not all(has_velocity):
         north, east, down = (v if has else 0.0 for v, has in zip(velocity, has_velocity, strict=True))
         velocity, has_velocity = (north, east, down), (True, True, True)
     yaw = None if mask & _YAW or not math.isfinite(message.yaw) else message.yaw
