@@ -23,7 +23,7 @@ Function = TypeVar("Function")
 _COMPILED = (
     "compiled", "flights", "tables", "links", "draws", "tracks", "judging", "loop", "measure", "energy",
 )  # fmt: skip
-_OF_RADIO = ("chances", "reception", "choosing", "awareness")
+_OF_RADIO = ("chances", "reception", "network", "choosing", "awareness")
 SOURCES = (
     *campaign.SOURCES,
     *(Path(__file__).with_name(f"{name}.py") for name in _COMPILED),
