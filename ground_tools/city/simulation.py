@@ -24,7 +24,7 @@ from ground_tools.city.links import Grid
 from ground_tools.city.loop import PERFECT, Rules, State, advance
 from ground_tools.city.measure import T_BEGUN, T_ENDED, new_tally
 from ground_tools.city.tables import NOBODY, new_air, new_fleet, new_near, new_tracks
-from ground_tools.city.tracks import Desk
+from ground_tools.city.tracks import TURNS, Desk
 
 PART_S = 0.5
 """Length of a part of a run. Transports are chosen and loads computed after each part."""
@@ -133,6 +133,9 @@ class Simulation:
         self._desk = Desk(
             np.zeros((most_tracks, k.OTHER_COLUMNS)),
             np.zeros(most_tracks, np.int64),
+            np.zeros(most_tracks, np.int64),
+            np.zeros(slots, np.int64),
+            np.zeros((2, TURNS)),
             np.zeros((most_tracks + 1, COLUMNS), np.int64),
             np.zeros(PLACES, np.int64),
         )
