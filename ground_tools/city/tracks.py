@@ -50,8 +50,8 @@ class Desk(NamedTuple):
     due: Integers
     """(slots,): links on which messages may have arrived."""
     turns: Floats
-    """(2, TURNS): times of the latest own velocities, latest first, and the greatest difference of these and
-    all later ones from the present velocity, m/s."""
+    """(2, TURNS): times of the latest own velocities, latest first, and the square of the greatest difference
+    of these and all later ones from the present velocity, m^2/s^2."""
     standings: Integers
     """(K + 1, `judging.COLUMNS`)."""
     crowds: Integers
@@ -292,14 +292,14 @@ def _beyond(
 @_inlined
 def note_turns(own: k.Own, history: k.History, samples: int, turns: Floats) -> None:
     """Write `Desk.turns`."""
-    v, most = own.velocity, 0.0
+    v, most2 = own.velocity, 0.0
     for at in range(turns.shape[1]):
         if at >= samples:
             turns[0, at], turns[1, at] = -math.inf, math.inf
             continue
         u = history.velocities[samples - 1 - at]
-        most = max(most, math.sqrt((v.n - u[0]) ** 2 + (v.e - u[1]) ** 2 + (v.d - u[2]) ** 2))
-        turns[0, at], turns[1, at] = history.times_s[samples - 1 - at], most
+        most2 = max(most2, (v.n - u[0]) ** 2 + (v.e - u[1]) ** 2 + (v.d - u[2]) ** 2)
+        turns[0, at], turns[1, at] = history.times_s[samples - 1 - at], most2
 
 
 @_compiled
@@ -312,7 +312,7 @@ def turned_since(own: k.Own, age_s: float, law: k.Settings, scope: Scope, turns:
     at = int(age_s / law.period_s)
     while at < turns.shape[1] and turns[0, at] > own.now_s - age_s:
         at += 1
-    return min(turns[1, at], scope.turned) if at < turns.shape[1] else scope.turned
+    return min(math.sqrt(turns[1, at]), scope.turned) if at < turns.shape[1] else scope.turned
 
 
 @_inlined

@@ -42,6 +42,8 @@ from ground_tools.city.tables import NOBODY
 _SURE_AGAIN: Final = 5
 """Decisions in a row that a policy must not refuse, after a refusal, before it is followed again; as in
 `companion.atmc.chooser`."""
+_CODE: Final = np.array([1_000_000, 1_000, 1])
+"""The product of a set's rates with this is a number that no other set has."""
 _compiled = compiled()
 
 
@@ -142,7 +144,7 @@ class Senses:
             self._rows = np.zeros((len(turn) * self._most, len(NEIGHBOUR_COLUMNS)), np.float32)
         count, least = np.zeros(len(turn), np.int64), np.zeros(len(turn))
         sums = np.zeros((len(turn), 2, len(TRANSPORTS)))
-        near = np.zeros((FEWEST_SENDERS, 1 + 2 * len(TRANSPORTS)))
+        near = np.zeros((FEWEST_SENDERS, 3))
         used = _observe(now_s, turn, self._most, state, self._rows, count, least, sums, near)
         expected, arriving = sums[:, 0] * SHARE_MEMORY_S, sums[:, 1] * SHARE_MEMORY_S
         measured = (expected >= FEWEST_EXPECTED).astype(float)
@@ -206,7 +208,7 @@ class ByPolicy:
         self._doubts[turn[new]], self._flights[turn] = 0, air.flight[turn]
         seen = self._senses.look(now_s, turn, state, rng)
         q, refused = self.values(seen)
-        current = (air.rates[turn][:, None] == self._actions).all(axis=2)
+        current = (air.rates[turn] @ _CODE)[:, None] == self._actions @ _CODE
         q = np.where(self._allowed, q + np.float32(self._metadata.switch_price) * current, -np.inf)
         chosen = self._actions[q.argmax(axis=1)]
         self._doubts[turn] = np.where(refused, _SURE_AGAIN, np.maximum(self._doubts[turn] - 1, 0))
@@ -248,7 +250,7 @@ def _observe(
     Args:
         sums: shape (B, 2, 3): written; Location messages per second that the nearest senders send, and how
             many arrive.
-        near: shape (FEWEST_SENDERS, 7): working space; overwritten.
+        near: shape (FEWEST_SENDERS, 3): working space; overwritten.
     """
     air, tracks, links = state.air, state.tracks, state.links
     used = 0
@@ -281,33 +283,42 @@ def _observe(
             rows[used, 1] = 2.0 ** (-ratio * ratio)
             least[t] = min(least[t], rows[used, 0])
             close += int(distance <= NEAR_M)
-            _keep(distance, rows[used], links.chance[links.back[e]], near, sums[t])
+            back = links.back[e]
+            if distance <= NEAR_M:
+                _add(rows[used], links.chance[back], sums[t])
+            _keep(distance, used, back, near)
             used += 1
         counts[t] = used - first
         if close < FEWEST_SENDERS:
             sums[t] = 0.0
             for n in range(len(near)):
                 if near[n, 0] < math.inf:
-                    for m in range(len(SCAN_SHARE)):
-                        sums[t, 0, m] += near[n, 1 + m]
-                        sums[t, 1, m] += near[n, 4 + m]
+                    _add(rows[int(near[n, 1])], links.chance[int(near[n, 2])], sums[t])
     return used
 
 
 @_compiled
-def _keep(distance: float, row: Float32s, fails: Float32s, near: Floats, sums: Floats) -> None:
-    """Add a sender to the sums if it is near, and keep it if it is among the nearest so far.
+def _add(row: Float32s, fails: Float32s, sums: Floats) -> None:
+    """Add the rates and arrivals of a sender to the sums.
 
     Args:
+        row: its row of the observation.
         fails: log probability that one frame on a transport is not received.
-        near: the nearest senders, nearest first: distance, rates, arrivals.
-        sums: rates and arrivals of those within `NEAR_M`.
     """
     for m in range(len(SCAN_SHARE)):
-        if distance <= NEAR_M:
+        if row[5 + m] > 0.0:
             rate = 10.0 * row[5 + m]
             sums[0, m] += rate
             sums[1, m] -= rate * math.expm1(fails[m])
+
+
+@_compiled
+def _keep(distance: float, row: int, link: int, near: Floats) -> None:
+    """Keep a sender if it is among the nearest so far.
+
+    Args:
+        near: the nearest senders, nearest first: distance, row of the observation, and link to the sender.
+    """
     at = len(near)
     while at > 0 and near[at - 1, 0] > distance:
         at -= 1
@@ -316,10 +327,7 @@ def _keep(distance: float, row: Float32s, fails: Float32s, near: Floats, sums: F
     for n in range(len(near) - 1, at, -1):
         for c in range(near.shape[1]):
             near[n, c] = near[n - 1, c]
-    near[at, 0] = distance
-    for m in range(len(SCAN_SHARE)):
-        near[at, 1 + m] = 10.0 * row[5 + m]
-        near[at, 4 + m] = -10.0 * row[5 + m] * math.expm1(fails[m])
+    near[at, 0], near[at, 1], near[at, 2] = distance, row, link
 
 
 @_compiled

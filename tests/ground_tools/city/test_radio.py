@@ -17,7 +17,7 @@ from companion.remote_id.region import Region
 from companion.shipped import shipped
 from ground_tools.campaign.world import World
 from ground_tools.city.cells import CHANNEL, POLICY
-from ground_tools.city.draws import draw_arrivals
+from ground_tools.city.draws import Frames, draw_arrivals
 from ground_tools.city.links import Grid
 from ground_tools.city.loop import State
 from ground_tools.city.measure import new_tally
@@ -101,6 +101,29 @@ def test_draws_have_the_mean_delay_of_their_chance() -> None:
     error = float(np.std(delays)) / math.sqrt(len(delays))
     assert latest > 0.0
     assert float(np.mean(delays)) == pytest.approx(wanted, abs=4.0 * error)
+
+
+def test_draws_that_need_no_logarithm_are_those_of_the_logarithm() -> None:
+    """Chances from one in a million to certainty: the same arrivals and the same state of the generator."""
+    rng, ours, theirs = (np.random.default_rng(seed) for seed in (1, 2, 2))
+    air, grid = new_air(2), Grid(2, np.array([1.0, 1.0, 1.0]), 2, 1.0)
+    air.flight[:] = 0, 1
+    links, frames = grid.find(np.zeros((2, 3)), air, np.ones(2, bool)), Frames(1.0, np.zeros(3), np.zeros(2))
+    arrived = 0
+    for _ in range(5000):
+        air.rates[0] = rng.integers(0, 11, 3)
+        links.chance[links.start[0]] = -(10.0 ** rng.uniform(-6.0, 1.0, 3))
+        draw_arrivals(ours, 5.0, 0, 0, air.rates, links, frames)
+        wanted = math.inf
+        for m, rate in enumerate(air.rates[0].tolist()):
+            if rate > 0:
+                number = math.floor(math.log(1.0 - theirs.random()) / links.chance[links.start[0], m].item())
+                if number < rate:
+                    wanted = min(wanted, 5.0 + (number + theirs.random()) / rate)
+        assert float(links.arrival[links.start[1], 0]) == wanted
+        assert ours.bit_generator.state == theirs.bit_generator.state
+        arrived += wanted < math.inf
+    assert 1000 < arrived < 4000
 
 
 def mean_age_s(arrivals: list[tuple[float, float]], from_s: float, to_s: float) -> float:
