@@ -23,7 +23,7 @@ Function = TypeVar("Function")
 _COMPILED = (
     "compiled", "flights", "tables", "links", "draws", "tracks", "judging", "loop", "measure", "energy",
 )  # fmt: skip
-_OF_RADIO = ("chances", "reception", "choosing", "awareness")
+_OF_RADIO = ("chances", "reception", "network", "choosing", "awareness")
 SOURCES = (
     *campaign.SOURCES,
     *(Path(__file__).with_name(f"{name}.py") for name in _COMPILED),
@@ -74,3 +74,15 @@ fetch: Callable[[NDArray[Any], tuple[int, ...]], None] = cast(Any, intrinsic(_fe
 
 The tables of many aircraft are larger than the processor's caches. Rows that are asked for before they are
 needed arrive together, instead of one after the other."""
+
+
+def _lowest_bit(_: Any, word: Any) -> Any:
+    def generate(target: Any, builder: Any, signature: Any, values: Any) -> Any:
+        number = builder.cttz(values[0], ir.Constant(ir.IntType(1), 1))
+        return target.cast(builder, number, signature.args[0], types.int64)
+
+    return types.int64(types.uint64), generate
+
+
+lowest_bit: Callable[[Any], int] = cast(Any, intrinsic(_lowest_bit))
+"""Position of the lowest bit that is 1, in compiled code. The word must not be 0."""

@@ -13,6 +13,8 @@ from ground_tools.city.tables import Links
 
 AHEAD = 8
 """Number of links ahead of which memory is asked for."""
+_SURELY = 1.0 + 1e-9
+"""Factor that is more than the rounding of a logarithm and a quotient."""
 
 
 class Frames(NamedTuple):
@@ -55,7 +57,11 @@ def draw_arrivals(
             fails, rate = links.chance[e, m], rates[j, m]
             if rate == 0 or fails == 0.0:
                 continue
-            number = math.floor(math.log(1.0 - rng.random()) / fails)
+            u = rng.random()
+            # -log(1 - u) is more than this polynomial: mostly, no logarithm is needed to see that all fail.
+            if u + 0.5 * u * u > _SURELY * (-fails * rate):
+                continue
+            number = math.floor(math.log(1.0 - u) / fails)
             if number < rate:
                 when = now + (number + rng.random()) * frames.period_s / rate + frames.offset_s[m]
                 if m == 2:

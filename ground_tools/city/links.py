@@ -8,12 +8,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.arrays import Bools, Floats, Integers
 from ground_tools.campaign.vehicles import Fleet
-from ground_tools.city.compiled import compiled
+from ground_tools.city.compiled import compiled, lowest_bit
 from ground_tools.city.tables import NEAR_MOST, NOBODY, Air, Links, Near, Numbers, new_links
 
+Words = NDArray[np.uint64]
 _MOST_CELLS = 256
 """Most cells along one axis."""
 _compiled = compiled()
@@ -38,6 +40,7 @@ class Grid:
         self._cell, self._sorted = np.zeros(slots, np.int64), np.zeros(slots, np.int64)
         self._begin = np.zeros(_MOST_CELLS**2 + 2, np.int64)
         self._cursor = np.zeros(slots, np.int64)
+        self._words, self._away2 = np.zeros(slots // 64 + 1, np.uint64), np.zeros(slots)
         self._kept = np.zeros((2, NEAR_MOST), np.int32)
 
     def find(self, position: Floats, air: Air, fresh: Bools) -> Links:
@@ -47,12 +50,12 @@ class Grid:
             position: shape (slots, 3).
             fresh: shape (slots,): whether the slot has another aircraft than at the last call.
         """
-        work = self._cell, self._sorted, self._begin, self._cursor
-        needed = _count(position, air.flight, self._reach2, *work, self._spare.start)
+        work = self._cell, self._sorted, self._begin, self._words, self._away2
+        needed = _search(position, air.flight, self._reach2, fresh, *work, self.links, self._spare)
         if needed > len(self._spare.other):
             self._spare = new_links(self._slots, needed + needed // 4, self._messages)
-            _count(position, air.flight, self._reach2, *work, self._spare.start)
-        _fill(position, air.flight, self._reach2, fresh, *work, self.links, self._spare)
+            _search(position, air.flight, self._reach2, fresh, *work, self.links, self._spare)
+        _join(self._spare, self._cursor)
         self.links, self._spare = self._spare, self.links
         return self.links
 
@@ -114,85 +117,91 @@ def _apart2(position: Floats, i: int, j: int) -> float:
 
 
 @_compiled
-def _count(
-    position: Floats, flight: Integers, reach2: Floats, cell: Integers, order: Integers, begin: Integers,
-    cursor: Integers, start: Integers,
+def _search(
+    position: Floats, flight: Integers, reach2: Floats, fresh: Bools, cell: Integers, order: Integers,
+    begin: Integers, words: Words, away2: Floats, old: Links, new: Links,
 ) -> int:  # fmt: skip
-    """Write the first link of each receiver. Returns the number of links."""
+    """Write the links, one receiver after the other, without `back`. Returns their number; those that do not
+    fit are only counted.
+
+    Args:
+        words: one bit for each slot, all of them 0: working space.
+        away2: shape (slots,): working space.
+    """
     most = _largest(reach2)
     rows, columns = _sort(position, flight, math.sqrt(most), cell, order, begin)
-    start[:] = 0
+    used = 0
     for i in range(len(flight)):
+        new.start[i] = used
         if flight[i] == NOBODY:
             continue
         row, column = cell[i] // columns, cell[i] % columns
+        found = 0
         for r in range(max(row - 1, 0), min(row + 2, rows)):
             low = begin[r * columns + max(column - 1, 0)]
             for at in range(low, begin[r * columns + min(column + 1, columns - 1) + 1]):
-                if order[at] != i and _apart2(position, i, order[at]) <= most:
-                    start[i + 1] += 1
-    for i in range(len(flight)):
-        start[i + 1] += start[i]
-        cursor[i] = start[i]
-    return int(start[-1])
+                j = order[at]
+                away2[j] = _apart2(position, i, j)
+                near = (away2[j] <= most) & (j != i)
+                words[j >> 6] |= np.uint64(near) << np.uint64(j & 63)
+                found += int(near)
+        used += found
+        _write(i, used - found, used <= len(new.other), reach2, fresh, words, away2, old, new)
+    new.start[len(flight)] = used
+    return used
 
 
 @_compiled
-def _fill(
-    position: Floats, flight: Integers, reach2: Floats, fresh: Bools, cell: Integers, order: Integers,
-    begin: Integers, cursor: Integers, old: Links, new: Links,
+def _write(
+    i: int, e: int, fits: bool, reach2: Floats, fresh: Bools, words: Words, away2: Floats, old: Links,
+    new: Links,
 ) -> None:  # fmt: skip
-    """Write the links. Senders are visited in rising order, so that each receiver's links are sorted."""
-    most = _largest(reach2)
-    _, _, _, rows, columns = _box(position, flight, math.sqrt(most))
-    for j in range(len(flight)):
-        if flight[j] == NOBODY:
-            continue
-        row, column = cell[j] // columns, cell[j] % columns
-        for r in range(max(row - 1, 0), min(row + 2, rows)):
-            low = begin[r * columns + max(column - 1, 0)]
-            for at in range(low, begin[r * columns + min(column + 1, columns - 1) + 1]):
-                i = order[at]
-                if i == j:
-                    continue
-                away2 = _apart2(position, i, j)
-                if away2 <= most:
-                    e = cursor[i]
-                    cursor[i] += 1
-                    new.other[e], new.row[e], new.due_s[e] = j, NOBODY, math.inf
-                    modes = 0
-                    for m in range(len(reach2)):
-                        if away2 <= reach2[m]:
-                            modes |= 1 << m
-                        new.chance[e, m] = 0.0
-                    new.modes[e] = modes
-                    new.arrival[e, :] = math.inf
-    # The links of row j are visited in rising order of i, which is the order in which they are stored.
-    for j in range(len(flight)):
-        cursor[j] = new.start[j]
-    for i in range(len(flight)):
-        for e in range(new.start[i], new.start[i + 1]):
-            j = new.other[e]
-            new.back[e] = cursor[j]
-            cursor[j] += 1
-        if not fresh[i]:
-            _carry(i, fresh, old, new)
+    """Write the links of receiver i, from link e on, in rising order of their senders, whose bits in `words`
+    become 0. Messages in transit and track rows are carried over."""
+    at, end = old.start[i], old.start[i + 1]
+    if fresh[i]:
+        at = end
+    for w in range(len(words)):
+        bits = words[w]
+        words[w] = 0
+        while fits and bits != 0:
+            j = 64 * w + lowest_bit(bits)
+            bits &= bits - np.uint64(1)
+            modes = 0
+            for m in range(len(reach2)):
+                modes |= int(away2[j] <= reach2[m]) << m
+            new.other[e], new.modes[e] = j, modes
+            while at < end and old.other[at] < j:
+                at += 1
+            if at < end and old.other[at] == j and not fresh[j]:
+                _carry(at, e, old, new)
+            else:
+                new.row[e], new.due_s[e] = NOBODY, math.inf
+                new.arrival[e, :] = math.inf
+                new.chance[e, :] = 0.0
+            e += 1
 
 
 @_compiled
-def _carry(i: int, fresh: Bools, old: Links, new: Links) -> None:
-    """Carry over the messages in transit to receiver i."""
-    e, end = old.start[i], old.start[i + 1]
-    for at in range(new.start[i], new.start[i + 1]):
-        j = new.other[at]
-        while e < end and old.other[e] < j:
-            e += 1
-        if e < end and old.other[e] == j and not fresh[j]:
-            new.row[at], new.due_s[at] = old.row[e], old.due_s[e]
-            for s in range(new.arrival.shape[1]):
-                new.arrival[at, s], new.by[at, s] = old.arrival[e, s], old.by[e, s]
-            for m in range(new.chance.shape[1]):
-                new.chance[at, m] = old.chance[e, m]
+def _carry(at: int, e: int, old: Links, new: Links) -> None:
+    """Carry over what is known of a link, and its messages in transit."""
+    new.row[e], new.due_s[e] = old.row[at], old.due_s[at]
+    for s in range(new.arrival.shape[1]):
+        new.arrival[e, s], new.by[e, s] = old.arrival[at, s], old.by[at, s]
+    for m in range(new.chance.shape[1]):
+        new.chance[e, m] = old.chance[at, m]
+
+
+@_compiled
+def _join(links: Links, cursor: Integers) -> None:
+    """Write `Links.back`: the links of sender j are visited in rising order of their receivers, which is the
+    order of the links that j receives on."""
+    for j in range(len(cursor)):
+        cursor[j] = links.start[j]
+    for e in range(links.start[len(cursor)]):
+        j = links.other[e]
+        links.back[e] = cursor[j]
+        cursor[j] += 1
 
 
 @_compiled

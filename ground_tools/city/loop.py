@@ -22,7 +22,16 @@ from ground_tools.city.flights import Flights
 from ground_tools.city.judging import Judge
 from ground_tools.city.measure import Tally, measure, note_decision
 from ground_tools.city.tables import NOBODY, Air, Links, Near, Tracks
-from ground_tools.city.tracks import Desk, Scope, certain, everything, look, look_perfectly, receive
+from ground_tools.city.tracks import (
+    Desk,
+    Scope,
+    certain,
+    everything,
+    look,
+    look_perfectly,
+    note_turns,
+    receive,
+)
 
 PERFECT, GIVEN, RADIO = 0.0, 1.0, 2.0
 """How aircraft learn of each other. PERFECT: the true state of all in reach. GIVEN: messages with given
@@ -113,13 +122,14 @@ def _turned(i: int, own: k.Own, air: Air) -> float:
 @_inlined
 def _look(
     rules: Rules, now: float, i: int, own: k.Own, law: k.Settings, scope: Scope, desk: Desk, state: State
-) -> int:
-    """Write the neighbours that matter to `desk`. Returns their number."""
+) -> tuple[int, int]:
+    """Write the neighbours that matter to `desk`. Returns the numbers that `tracks.look` returns."""
     if rules.knows != PERFECT:
         return look(now, rules.world, i, own, law, scope, state.craft, state.tracks, desk)
     if law.law == k.NONE:
-        return 0
-    return look_perfectly(i, own, law, scope, state.craft, state.links, desk)
+        return 0, 0
+    count = look_perfectly(i, own, law, scope, state.craft, state.links, desk)
+    return count, count
 
 
 @_compiled
@@ -127,7 +137,7 @@ def _decided(
     rules: Rules, now: float, i: int, law: k.Settings, path: k.Path, fence: Floats, desk: Desk,
     work: k.Workspace, state: State,
 ) -> tuple[int, k.Decision]:  # fmt: skip
-    """The decision of aircraft i, and the number of neighbours that it was given.
+    """The decision of aircraft i, and the number of neighbours that could matter to it.
 
     First, only the neighbours are considered that matter for a small change of velocity. If the result could
     differ from the decision with all neighbours, the decision is repeated with all that can matter.
@@ -138,19 +148,20 @@ def _decided(
     command = k.Vector(air.command[i, 0], air.command[i, 1], air.command[i, 2])
     before = k.State(command, air.decided_s[i], air.quiet[i], air.late_s[i], air.samples[i])
     history = k.History(air.times_s[i], air.velocities[i])
+    note_turns(own, history, air.samples[i], desk.turns)
     most = everything(law)
     change = min(air.change[i], most) if law.law == k.DMUCA else most
-    count = _look(rules, now, i, own, law, Scope(change, turned), desk, state)
+    asked, count = _look(rules, now, i, own, law, Scope(change, turned), desk, state)
     decision = k.decide(desk.neighbours, count, own, path, fence, law, before, history, work)
     if change < most and not certain(own, law, decision, change):
         air.change[i] = 1.5 * air.change[i] + 1.0
-        count = _look(rules, now, i, own, law, Scope(most, turned), desk, state)
+        asked, count = _look(rules, now, i, own, law, Scope(most, turned), desk, state)
         # The velocity history already holds the present velocity.
         before = k.State(command, air.decided_s[i], air.quiet[i], air.late_s[i], decision.state.samples)
         decision = k.decide(desk.neighbours, count, own, path, fence, law, before, history, work)
     else:
         air.change[i] = max(0.98 * air.change[i], _LEAST_CHANGE_MPS)
-    return count, decision
+    return asked, decision
 
 
 @_compiled
@@ -166,7 +177,7 @@ def _decide(
         receive(now, rules.world, i, craft, air, state.tracks, state.links, rules.judge, desk)
     first, after = flights.first[f], flights.first[f] + flights.corners[f]
     path = k.Path(flights.times[first:after], flights.points[first:after])
-    count, decision = _decided(rules, now, i, law, path, fence, desk, work, state)
+    asked, decision = _decided(rules, now, i, law, path, fence, desk, work, state)
     kept = decision.state
     for c, value in enumerate(kept.command):
         air.command[i, c] = value
@@ -174,7 +185,7 @@ def _decide(
     air.samples[i] = kept.samples
     for c, value in enumerate(decision.chosen):
         craft.command[i, c] = value
-    note_decision(state.tally, air, i, count, decision.feasible, decision.conflict)
+    note_decision(state.tally, air, i, asked, decision.feasible, decision.conflict)
 
 
 @_compiled

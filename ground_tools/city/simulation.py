@@ -24,7 +24,7 @@ from ground_tools.city.links import Grid
 from ground_tools.city.loop import PERFECT, Rules, State, advance
 from ground_tools.city.measure import T_BEGUN, T_ENDED, new_tally
 from ground_tools.city.tables import NOBODY, new_air, new_fleet, new_near, new_tracks
-from ground_tools.city.tracks import Desk
+from ground_tools.city.tracks import TURNS, Desk
 
 PART_S = 0.5
 """Length of a part of a run. Transports are chosen and loads computed after each part."""
@@ -133,6 +133,9 @@ class Simulation:
         self._desk = Desk(
             np.zeros((most_tracks, k.OTHER_COLUMNS)),
             np.zeros(most_tracks, np.int64),
+            np.zeros(most_tracks, np.int64),
+            np.zeros(slots, np.int64),
+            np.zeros((2, TURNS)),
             np.zeros((most_tracks + 1, COLUMNS), np.int64),
             np.zeros(PLACES, np.int64),
         )
@@ -190,14 +193,14 @@ class Simulation:
     def _turn_over(self, now: float) -> None:
         """Remove the aircraft that have arrived, and let those depart that are due."""
         flights, air = self._flights, self.state.air
-        for slot in np.flatnonzero(air.flight != NOBODY).tolist():
-            f = int(air.flight[slot])
-            length_s = flights.times[flights.first[f] + flights.corners[f] - 1]
-            over = now - air.begun_s[slot] - air.late_s[slot] >= length_s
-            if over and air.gap_m[slot] <= ARRIVED_M:
-                self.state.tally.flights[f, T_ENDED] = now
-                air.flight[slot] = NOBODY
-                self._fresh[slot] = True
+        flying = np.flatnonzero(air.flight != NOBODY)
+        f = air.flight[flying]
+        length_s = flights.times[flights.first[f] + flights.corners[f] - 1]
+        over = now - air.begun_s[flying] - air.late_s[flying] >= length_s
+        for slot in flying[over & (air.gap_m[flying] <= ARRIVED_M)].tolist():
+            self.state.tally.flights[air.flight[slot], T_ENDED] = now
+            air.flight[slot] = NOBODY
+            self._fresh[slot] = True
         while self._next < len(flights.depart_s) and flights.depart_s[self._next] <= now:
             self._waiting.append(self._next)
             self._next += 1

@@ -25,6 +25,8 @@ NEAR_MOST = 32
 HISTORY = 512
 """Length of the history of own velocities. At five decisions a second, half of it is 51 s, which is more than
 the age of the oldest message."""
+_LINE = 8
+"""Numbers in double precision in a cache line."""
 BURST = 10
 """Number of new tracks that are remembered to recognise those that appear together (`eviction.OPENED`)."""
 
@@ -160,12 +162,20 @@ def new_air(slots: int) -> Air:
     )
 
 
+def _aligned(shape: tuple[int, ...]) -> Floats:
+    """Zeros that begin at a boundary of cache lines, so that rows of whole lines are not spread over more."""
+    size = math.prod(shape)
+    raw = np.zeros(size + _LINE)
+    first = -raw.ctypes.data // raw.itemsize % _LINE
+    return raw[first : first + size].reshape(shape)
+
+
 def new_tracks(slots: int, most: int) -> Tracks:
     """Empty tables of up to `most` tracks for each slot."""
     # What is stored of a track is contiguous, beginning with what decisions need: with many aircraft, most
     # time goes to fetching it from memory.
     past = len(k.NO_PAST)
-    rows = np.zeros((slots, most, 1 + past + 3 + len(MODES)))
+    rows = _aligned((slots, most, 1 + past + 3 + len(MODES)))
     return Tracks(
         who=np.full((slots, most), NOBODY, np.int32),
         used=np.zeros(slots, np.int64),
@@ -186,7 +196,7 @@ def new_tracks(slots: int, most: int) -> Tracks:
 
 def new_links(slots: int, links: int, messages: int) -> Links:
     """Room for the given number of links, each with the given number of messages in transit."""
-    transit = np.zeros((links, 2 * messages))
+    transit = _aligned((links, 2 * messages))
     return Links(
         start=np.zeros(slots + 1, np.int64),
         other=np.zeros(links, np.int32),

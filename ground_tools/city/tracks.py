@@ -31,6 +31,8 @@ _SHARE = 0.5
 """`kernels.Other.share` of every track."""
 SURE_S = 2.0
 """Time for which `Tracks.beyond_m` is computed."""
+TURNS = 16
+"""Number of own velocities in `Desk.turns`: three seconds, more than the age of most messages."""
 _NO_PAST = tuple(k.NO_PAST)
 _compiled = compiled()
 _inlined = compiled(forceinline=True)
@@ -43,6 +45,13 @@ class Desk(NamedTuple):
     """(K, columns of `kernels.Other`)."""
     order: Integers
     """(K,): tracks in the order of their flights."""
+    names: Integers
+    """(K,): their flights."""
+    due: Integers
+    """(slots,): links on which messages may have arrived."""
+    turns: Floats
+    """(2, TURNS): times of the latest own velocities, latest first, and the square of the greatest difference
+    of these and all later ones from the present velocity, m^2/s^2."""
     standings: Integers
     """(K + 1, `judging.COLUMNS`)."""
     crowds: Integers
@@ -55,16 +64,19 @@ def receive(
     judge: Judge, desk: Desk,
 ) -> None:  # fmt: skip
     """Take the messages that aircraft i has received into its tracks."""
+    due, count = desk.due, 0
     for e in range(links.start[i], links.start[i + 1]):
-        if links.due_s[e] <= now:
-            fetch(links.arrival, (e, 0))
-            fetch(craft.sent, (links.other[e], 0, 0))
-            if links.row[e] != NOBODY:
-                _fetch_first(i, links.row[e], tracks)
-                fetch(tracks.on_s, (i, links.row[e], 0))
-    for e in range(links.start[i], links.start[i + 1]):
-        if links.due_s[e] > now:
-            continue
+        due[count] = e
+        count += 1 if links.due_s[e] <= now else 0
+    for at in range(count):
+        e = due[at]
+        fetch(links.arrival, (e, 0))
+        fetch(craft.sent, (links.other[e], 0, 0))
+        if links.row[e] != NOBODY:
+            _fetch_first(i, links.row[e], tracks)
+            fetch(tracks.on_s, (i, links.row[e], 0))
+    for at in range(count):
+        e = due[at]
         links.due_s[e] = math.inf
         for s in range(links.arrival.shape[1]):
             if links.arrival[e, s] <= now:
@@ -278,21 +290,56 @@ def _beyond(
 
 
 @_inlined
+def note_turns(own: k.Own, history: k.History, samples: int, turns: Floats) -> None:
+    """Write `Desk.turns`."""
+    v, most2 = own.velocity, 0.0
+    for at in range(turns.shape[1]):
+        if at >= samples:
+            turns[0, at], turns[1, at] = -math.inf, math.inf
+            continue
+        u = history.velocities[samples - 1 - at]
+        most2 = max(most2, (v.n - u[0]) ** 2 + (v.e - u[1]) ** 2 + (v.d - u[2]) ** 2)
+        turns[0, at], turns[1, at] = history.times_s[samples - 1 - at], most2
+
+
+@_compiled
+def turned_since(own: k.Own, age_s: float, law: k.Settings, scope: Scope, turns: Floats) -> float:
+    """Upper bound of the difference (m/s) between the present velocity and that of the time of a message.
+
+    The law interpolates between the last velocity before that time and the next one, which is the present one
+    or is in the history. Decisions are too far apart for one to take the place of another in it.
+    """
+    at = int(age_s / law.period_s)
+    while at < turns.shape[1] and turns[0, at] > own.now_s - age_s:
+        at += 1
+    return min(math.sqrt(turns[1, at]), scope.turned) if at < turns.shape[1] else scope.turned
+
+
+@_inlined
 def look(
     now: float, world: Conditions, i: int, own: k.Own, law: k.Settings, scope: Scope, craft: Fleet,
     tracks: Tracks, desk: Desk,
-) -> int:  # fmt: skip
-    """Write the aircraft that aircraft i knows, and that matter, to `desk`. Returns their number.
+) -> tuple[int, int]:  # fmt: skip
+    """Write the aircraft that aircraft i knows, and that matter, to `desk`. Old tracks are removed.
 
-    They are sorted by flight number, so that the order of reception is irrelevant. Old tracks are removed.
+    They are sorted by flight number, so that the order of reception is irrelevant.
+
+    Args:
+        desk: with `turns`.
+
+    Returns:
+        The number of tracks that matter for this scope, and the number of neighbours that were written: those
+        that matter for the own velocity at the time of their own messages.
     """
-    count, needed = 0, needed_m(now, i, own, law, scope, tracks)
+    needed, order, names = needed_m(now, i, own, law, scope, tracks), desk.order, desk.names
+    candidates = asked = count = 0
     for row in range(tracks.used[i]):
-        if tracks.beyond_m[i, row] < needed:
-            _fetch_first(i, row, tracks)
-    for row in range(tracks.used[i]):
-        if tracks.beyond_m[i, row] >= needed:
-            continue
+        order[candidates] = row
+        candidates += 1 if tracks.beyond_m[i, row] < needed else 0
+    for at in range(candidates):
+        _fetch_first(i, order[at], tracks)
+    for candidate in range(candidates):
+        row = order[candidate]
         who = tracks.who[i, row]
         if who == NOBODY:
             continue
@@ -301,20 +348,25 @@ def look(
             tracks.who[i, row] = NOBODY
             continue
         known = _known(now, world, i, row, craft, tracks)
-        if not matters(own, known, volume_of(known, own, law), law, scope):
+        volume = volume_of(known, own, law)
+        if not matters(own, known, volume, law, scope):
             if tracks.beyond_m[i, row] == -math.inf:
                 later = _known(tracks.anchor[i, 2], world, i, row, craft, tracks)
                 tracks.beyond_m[i, row] = _beyond(now, i, row, known, later, own, law, tracks)
             continue
+        asked += 1
+        turned = turned_since(own, known.age_s, law, scope, desk.turns)
+        if not matters(own, known, volume, law, Scope(scope.change, turned)):
+            continue
         at = count
-        while at > 0 and tracks.who[i, desk.order[at - 1]] > who:
-            desk.order[at] = desk.order[at - 1]
+        while at > 0 and names[at - 1] > who:
+            order[at], names[at] = order[at - 1], names[at - 1]
             at -= 1
-        desk.order[at] = row
+        order[at], names[at] = row, who
         count += 1
     for at in range(count):
-        k.put_other(desk.neighbours, at, _known(now, world, i, desk.order[at], craft, tracks))
-    return count
+        k.put_other(desk.neighbours, at, _known(now, world, i, order[at], craft, tracks))
+    return asked, count
 
 
 @_compiled

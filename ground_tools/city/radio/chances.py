@@ -34,7 +34,8 @@ class Chances(NamedTuple):
     ble5: Floats
     """(rates, nodes, nodes): over the survival of pointer and auxiliary packet."""
     wifi: Floats
-    """(rates, nodes, loads): over the survival of the beacon and the load around the sender."""
+    """(rates, loads, nodes): over the load around the sender and the survival of the beacon. The receivers of
+    one sender share its load."""
 
 
 def offsets_s(parameters: ChannelParameters) -> Floats:
@@ -48,7 +49,7 @@ def chances_of(parameters: ChannelParameters, rates: Collection[int]) -> Chances
     loads = np.linspace(0.0, HIGHEST_LOAD, _LOAD_NODES)
     grids = [np.exp(np.linspace(_LOWEST, 0.0, nodes)) for nodes in _NODES]
     wifi_loads = loads if parameters.wifi.access == "carrier_sense" else loads[:2]
-    shapes = ((_NODES[0],), (_NODES[1], _NODES[1]), (_NODES[2], len(wifi_loads)))
+    shapes = ((_NODES[0],), (_NODES[1], _NODES[1]), (len(wifi_loads), _NODES[2]))
     tables = [np.zeros((max(max_rates(parameters)) + 1, *shape)) for shape in shapes]
     offset_s = offsets_s(parameters)
     for m, mode in enumerate(MODES):
@@ -65,7 +66,8 @@ def chances_of(parameters: ChannelParameters, rates: Collection[int]) -> Chances
                 alive, load = np.meshgrid(grids[2], wifi_loads, indexing="ij")
                 delay_s = _wifi_delay_s(rate, alive, load, parameters)
                 wait_s = _wait_s(load, parameters)
-            tables[m][rate] = np.log(_hazard(delay_s - offset_s[m] - wait_s, rate, parameters))
+            table = np.log(_hazard(delay_s - offset_s[m] - wait_s, rate, parameters))
+            tables[m][rate] = table.T if mode == WIFI_BEACON else table
     return Chances(*tables)
 
 
@@ -121,9 +123,9 @@ def on_grid(table: Floats, first: float, second: float) -> float:
 def on_loads(table: Floats, log: float, at: float) -> float:
     """Interpolate a table at a log survival and a load index; a load beyond the highest node is clamped to
     it."""
-    node = min(math.floor(at), table.shape[1] - 2)
+    node = min(math.floor(at), table.shape[0] - 2)
     share = min(at - node, 1.0)
-    low, part = _place(log, table.shape[0])
-    below = table[low, node] + share * (table[low, node + 1] - table[low, node])
-    above = table[low + 1, node] + share * (table[low + 1, node + 1] - table[low + 1, node])
+    low, part = _place(log, table.shape[1])
+    below = table[node, low] + share * (table[node + 1, low] - table[node, low])
+    above = table[node, low + 1] + share * (table[node + 1, low + 1] - table[node, low + 1])
     return float(below + part * (above - below))

@@ -7,6 +7,7 @@ policy is evaluated for many aircraft at once; a test compares the choices with 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, Protocol
@@ -15,7 +16,6 @@ import numpy as np
 
 from companion.arrays import Bools, Float32s, Floats, Integers
 from companion.atmc.actions import TRANSPORTS, Action, legal
-from companion.atmc.networks import Tensors
 from companion.atmc.observation import (
     IDENTITY_BITS,
     LEAST_CLOSING_MPS,
@@ -36,13 +36,14 @@ from ground_tools.campaign.vehicles import M_POSITION, M_TIME, M_VELOCITY
 from ground_tools.city.compiled import compiled, fetch
 from ground_tools.city.draws import AHEAD
 from ground_tools.city.loop import State
+from ground_tools.city.radio.network import SetValues, admit
 from ground_tools.city.tables import NOBODY
 
 _SURE_AGAIN: Final = 5
 """Decisions in a row that a policy must not refuse, after a refusal, before it is followed again; as in
 `companion.atmc.chooser`."""
-_ROWS_AT_ONCE: Final = 2000
-"""Rows that are evaluated at once: few enough that a layer's values stay in the processor's cache."""
+_CODE: Final = np.array([1_000_000, 1_000, 1])
+"""The product of a set's rates with this is a number that no other set has."""
 _compiled = compiled()
 
 
@@ -143,7 +144,7 @@ class Senses:
             self._rows = np.zeros((len(turn) * self._most, len(NEIGHBOUR_COLUMNS)), np.float32)
         count, least = np.zeros(len(turn), np.int64), np.zeros(len(turn))
         sums = np.zeros((len(turn), 2, len(TRANSPORTS)))
-        near = np.zeros((FEWEST_SENDERS, 1 + 2 * len(TRANSPORTS)))
+        near = np.zeros((FEWEST_SENDERS, 3))
         used = _observe(now_s, turn, self._most, state, self._rows, count, least, sums, near)
         expected, arriving = sums[:, 0] * SHARE_MEMORY_S, sums[:, 1] * SHARE_MEMORY_S
         measured = (expected >= FEWEST_EXPECTED).astype(float)
@@ -183,7 +184,10 @@ class ByPolicy:
         policy = Policy(metadata, tensors, name)
         if metadata.kind != "set" or tuple(metadata.neighbour_columns) != NEIGHBOUR_COLUMNS:
             raise ConfigError(f"{name}: the city needs a policy of kind set, with all columns")
-        self._metadata, self._tensors = metadata, tensors
+        self._metadata, self._network, bounds = metadata, SetValues(tensors), metadata.bounds
+        self._bounds = _widened(bounds.neighbour_low, bounds.neighbour_high)
+        self._own_bounds = _widened(bounds.own_low, bounds.own_high)
+        self._kept = np.zeros((0, len(NEIGHBOUR_COLUMNS)), np.float32)
         self._allowed: Bools = legal(policy.actions, region)
         self._actions = np.array(policy.actions, np.int64)
         fall_back = fixed(region, TRANSPORTS)
@@ -204,7 +208,7 @@ class ByPolicy:
         self._doubts[turn[new]], self._flights[turn] = 0, air.flight[turn]
         seen = self._senses.look(now_s, turn, state, rng)
         q, refused = self.values(seen)
-        current = (air.rates[turn][:, None] == self._actions).all(axis=2)
+        current = (air.rates[turn] @ _CODE)[:, None] == self._actions @ _CODE
         q = np.where(self._allowed, q + np.float32(self._metadata.switch_price) * current, -np.inf)
         chosen = self._actions[q.argmax(axis=1)]
         self._doubts[turn] = np.where(refused, _SURE_AGAIN, np.maximum(self._doubts[turn] - 1, 0))
@@ -220,72 +224,20 @@ class ByPolicy:
 
     def values(self, seen: Seen) -> tuple[Float32s, Bools]:
         """Value of each action, (B, actions), and whether the policy refuses the observation, (B,)."""
-        bounds, distance = self._metadata.bounds, NEIGHBOUR_COLUMNS.index("log_distance")
-        low, high = (
-            np.array(b, np.float32) + np.float32(s)
-            for b, s in ((bounds.neighbour_low, -SLACK), (bounds.neighbour_high, SLACK))
-        )
-        owner = np.repeat(np.arange(len(seen.count)), seen.count)
-        near = ~(seen.rows[:, distance] > high[distance])
-        rows, owner = seen.rows[near], owner[near]
-        count = np.bincount(owner, minlength=len(seen.count))
-        bad = ~((rows >= low) & (rows <= high)).all(axis=1)
         own = seen.own.astype(np.float32)
-        inside = (own >= np.array(bounds.own_low, np.float32) - np.float32(SLACK)) & (
-            own <= np.array(bounds.own_high, np.float32) + np.float32(SLACK)
-        )
-        refused = (count > self._metadata.neighbours) | ~inside.all(axis=1)
-        refused |= np.bincount(owner, bad, minlength=len(count)) > 0
-        keep = ~refused[owner]
-        values = set_values(self._tensors, own, rows[keep], np.where(refused, 0, count))
-        return values, refused | ~np.isfinite(values).all(axis=1)
+        low, high = self._own_bounds
+        refused: Bools = np.asarray(~((own >= low) & (own <= high)).all(axis=1))
+        if len(self._kept) < len(seen.rows):
+            self._kept = np.zeros((len(seen.rows), len(NEIGHBOUR_COLUMNS)), np.float32)
+        count = seen.count.copy()
+        distance, most = NEIGHBOUR_COLUMNS.index("log_distance"), self._metadata.neighbours
+        used = admit(seen.rows, count, *self._bounds, distance, most, refused, self._kept)
+        values = self._network.of(own, self._kept[:used], count)
+        return values, np.asarray(refused | ~np.isfinite(values).all(axis=1))
 
 
-def set_values(tensors: Tensors, own: Float32s, rows: Float32s, count: Integers) -> Float32s:
-    """`companion.atmc.networks.SetNetwork` for many aircraft at once, (B, actions).
-
-    Args:
-        own: shape (B, own columns).
-        rows: shape (R, neighbour columns), one aircraft after the other.
-        count: shape (B,): number of rows of each.
-    """
-    hidden = tensors["phi1.bias"].shape[0]
-    pooled = np.zeros((len(own), 2 * hidden + own.shape[1]), np.float32)
-    end = np.cumsum(count)
-    first = 0
-    while first < len(own):
-        base = int(end[first] - count[first])
-        after = max(first + 1, int(np.searchsorted(end, base + _ROWS_AT_ONCE, side="right")))
-        some = np.arange(first, after)[count[first:after] > 0]
-        if len(some):
-            h = rows[base : int(end[after - 1])]
-            for layer in ("phi0", "phi1"):
-                h = h @ tensors[f"{layer}.weight"].T
-                h += tensors[f"{layer}.bias"]
-                np.maximum(h, 0.0, out=h)
-            starts = end[some] - count[some] - base
-            pooled[some, :hidden] = np.log1p(np.add.reduceat(h, starts, axis=0))
-            largest(h, starts, some, pooled[:, hidden : 2 * hidden])
-        first = after
-    pooled[:, 2 * hidden :] = own
-    z = pooled
-    for layer in ("rho0", "rho1"):
-        z = np.maximum(z @ tensors[f"{layer}.weight"].T + tensors[f"{layer}.bias"], 0.0)
-    return np.asarray(z @ tensors["out.weight"].T + tensors["out.bias"], np.float32)
-
-
-@_compiled
-def largest(h: Float32s, starts: Integers, some: Integers, pooled: Float32s) -> None:
-    """`np.maximum.reduceat` along the rows, written to some rows of `pooled`: several times as fast."""
-    for s in range(len(starts)):
-        out = pooled[some[s]]
-        end = starts[s + 1] if s + 1 < len(starts) else len(h)
-        for c in range(h.shape[1]):
-            out[c] = h[starts[s], c]
-        for r in range(starts[s] + 1, end):
-            for c in range(h.shape[1]):
-                value = h[r, c]
-                out[c] = value if value > out[c] or value != value else out[c]
+def _widened(low: Sequence[float], high: Sequence[float]) -> tuple[Float32s, Float32s]:
+    return np.array(low, np.float32) + np.float32(-SLACK), np.array(high, np.float32) + np.float32(SLACK)
 
 
 @_compiled
@@ -298,7 +250,7 @@ def _observe(
     Args:
         sums: shape (B, 2, 3): written; Location messages per second that the nearest senders send, and how
             many arrive.
-        near: shape (FEWEST_SENDERS, 7): working space; overwritten.
+        near: shape (FEWEST_SENDERS, 3): working space; overwritten.
     """
     air, tracks, links = state.air, state.tracks, state.links
     used = 0
@@ -331,33 +283,42 @@ def _observe(
             rows[used, 1] = 2.0 ** (-ratio * ratio)
             least[t] = min(least[t], rows[used, 0])
             close += int(distance <= NEAR_M)
-            _keep(distance, rows[used], links.chance[links.back[e]], near, sums[t])
+            back = links.back[e]
+            if distance <= NEAR_M:
+                _add(rows[used], links.chance[back], sums[t])
+            _keep(distance, used, back, near)
             used += 1
         counts[t] = used - first
         if close < FEWEST_SENDERS:
             sums[t] = 0.0
             for n in range(len(near)):
                 if near[n, 0] < math.inf:
-                    for m in range(len(SCAN_SHARE)):
-                        sums[t, 0, m] += near[n, 1 + m]
-                        sums[t, 1, m] += near[n, 4 + m]
+                    _add(rows[int(near[n, 1])], links.chance[int(near[n, 2])], sums[t])
     return used
 
 
 @_compiled
-def _keep(distance: float, row: Float32s, fails: Float32s, near: Floats, sums: Floats) -> None:
-    """Add a sender to the sums if it is near, and keep it if it is among the nearest so far.
+def _add(row: Float32s, fails: Float32s, sums: Floats) -> None:
+    """Add the rates and arrivals of a sender to the sums.
 
     Args:
+        row: its row of the observation.
         fails: log probability that one frame on a transport is not received.
-        near: the nearest senders, nearest first: distance, rates, arrivals.
-        sums: rates and arrivals of those within `NEAR_M`.
     """
     for m in range(len(SCAN_SHARE)):
-        if distance <= NEAR_M:
+        if row[5 + m] > 0.0:
             rate = 10.0 * row[5 + m]
             sums[0, m] += rate
             sums[1, m] -= rate * math.expm1(fails[m])
+
+
+@_compiled
+def _keep(distance: float, row: int, link: int, near: Floats) -> None:
+    """Keep a sender if it is among the nearest so far.
+
+    Args:
+        near: the nearest senders, nearest first: distance, row of the observation, and link to the sender.
+    """
     at = len(near)
     while at > 0 and near[at - 1, 0] > distance:
         at -= 1
@@ -366,10 +327,7 @@ def _keep(distance: float, row: Float32s, fails: Float32s, near: Floats, sums: F
     for n in range(len(near) - 1, at, -1):
         for c in range(near.shape[1]):
             near[n, c] = near[n - 1, c]
-    near[at, 0] = distance
-    for m in range(len(SCAN_SHARE)):
-        near[at, 1 + m] = 10.0 * row[5 + m]
-        near[at, 4 + m] = -10.0 * row[5 + m] * math.expm1(fails[m])
+    near[at, 0], near[at, 1], near[at, 2] = distance, row, link
 
 
 @_compiled

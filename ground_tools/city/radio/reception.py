@@ -135,7 +135,7 @@ class AnalyticRadio:
         air, around, parameters = state.air, self.around, self._parameters
         rates = np.where(air.flight[:, None] != NOBODY, air.rates, 0)
         around.adds[:] = adds_of(rates, parameters)
-        _sum(state.links, air.flight, rates, around)
+        _sum(state.links, air.flight, around)
         for c, log in enumerate(log_hearing(parameters, rates)):
             around.hearing[:, c] = self._quiet[c]
             if parameters.bluetooth_half_duplex:
@@ -185,25 +185,25 @@ def adds_of(rates: Integers, parameters: ChannelParameters) -> Floats:
 
 
 @_compiled
-def _sum(links: Links, flight: Integers, rates: Integers, around: Around) -> None:
+def _sum(links: Links, flight: Integers, around: Around) -> None:
     """Sum up the contributions of all senders that reach each aircraft."""
     for i in range(len(flight)):
         b0 = b1 = c0 = c1 = c2 = c3 = w0 = w1 = w2 = 0.0
         for e in range(links.start[i], links.start[i + 1]):
-            j, modes = links.other[e], links.modes[e]
-            add = around.adds[j]
-            if modes & 1 and rates[j, 0] > 0:
-                b0 += add[BLE4_BY_BLE4]
-                b1 += add[POINTER_BY_BLE4]
-            if modes & 2 and rates[j, 1] > 0:
-                c0 += add[BLE4_BY_BLE5]
-                c1 += add[POINTER_BY_BLE5]
-                c2 += add[AUXILIARY_BY_BLE5]
-                c3 += add[WIFI_BY_BLE5]
-            if modes & 4 and rates[j, 2] > 0:
-                w0 += add[WIFI_BY_WIFI]
-                w1 += add[AUXILIARY_BY_WIFI]
-                w2 += add[LOAD]
+            add, modes = around.adds[links.other[e]], links.modes[e]
+            # No branches, which the processor could not predict. What is not sent adds 0.
+            on4, on5, on_wifi = modes & 1 != 0, modes & 2 != 0, modes & 4 != 0
+            a0, a1, a2, a3, a4 = add[0], add[1], add[2], add[3], add[4]
+            a5, a6, a7, a8 = add[5], add[6], add[7], add[8]
+            b0 += a0 if on4 else 0.0
+            b1 += a1 if on4 else 0.0
+            c0 += a2 if on5 else 0.0
+            c1 += a3 if on5 else 0.0
+            c2 += a4 if on5 else 0.0
+            c3 += a5 if on5 else 0.0
+            w0 += a6 if on_wifi else 0.0
+            w1 += a7 if on_wifi else 0.0
+            w2 += a8 if on_wifi else 0.0
         total = around.total[i]
         total[BLE4_BY_BLE4], total[POINTER_BY_BLE4] = b0, b1
         total[BLE4_BY_BLE5], total[POINTER_BY_BLE5], total[AUXILIARY_BY_BLE5], total[WIFI_BY_BLE5] = (
@@ -287,7 +287,7 @@ def _survive(
             sends |= (1 << m) if rates[j, m] > 0 else 0
         if sends & 4 and around.listens != 0.0:
             size = _sensed(j, starts[t], rates, position, links, around, places, near, who)
-        share = around.total[j, LOAD] / HIGHEST_LOAD * (chances.wifi.shape[2] - 1)
+        share = around.total[j, LOAD] / HIGHEST_LOAD * (chances.wifi.shape[1] - 1)
         end = links.start[j + 1]
         for first in range(links.start[j], end, BLOCK):
             after = min(first + BLOCK, end)

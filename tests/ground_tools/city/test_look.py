@@ -19,7 +19,7 @@ from ground_tools.city.flights import Wish, flights_of
 from ground_tools.city.loop import GIVEN
 from ground_tools.city.simulation import Simulation
 from ground_tools.city.tables import NOBODY, Tracks, new_fleet, new_tracks
-from ground_tools.city.tracks import Desk, Scope, look, needed_m
+from ground_tools.city.tracks import TURNS, Desk, Scope, look, needed_m
 
 MOST = 60
 PERIOD_S = 0.2
@@ -56,9 +56,10 @@ def looked(
     now: float, own: k.Own, law: k.Settings, scope: Scope, craft: Fleet, tracks: Tracks
 ) -> tuple[list[int], list[list[float]], list[int]]:
     """Flights and rows of the neighbours that are given to the decision, and all tracks that are kept."""
-    desk = Desk(np.zeros((MOST, k.OTHER_COLUMNS)), np.zeros(MOST, np.int64), np.zeros((1, 7), np.int64),
-                np.zeros(1, np.int64))  # fmt: skip
-    count = look(now, WORLD, 0, own, law, scope, craft, tracks, desk)
+    desk = Desk(np.zeros((MOST, k.OTHER_COLUMNS)), *np.zeros((2, MOST), np.int64), np.zeros(1, np.int64),
+                np.full((2, TURNS), math.inf), np.zeros((1, 7), np.int64), np.zeros(1, np.int64))  # fmt: skip
+    asked, count = look(now, WORLD, 0, own, law, scope, craft, tracks, desk)
+    assert asked == count  # nothing is known of the own velocities
     rows = desk.order[:count]
     return tracks.who[0, rows].tolist(), desk.neighbours[:count].tolist(), tracks.who[0].tolist()
 

@@ -9,17 +9,20 @@ import pytest
 
 from companion.arrays import Floats, Integers
 from companion.atmc.choice import Choice
+from companion.atmc.networks import SetNetwork
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
 from companion.atmc.policy import load
+from companion.atmc.policy_file import read
 from companion.remote_id.region import Region
 from companion.shipped import shipped
 from ground_tools.campaign.world import World
 from ground_tools.city.cells import CHANNEL, POLICY
-from ground_tools.city.draws import draw_arrivals
+from ground_tools.city.draws import Frames, draw_arrivals
 from ground_tools.city.links import Grid
 from ground_tools.city.loop import State
 from ground_tools.city.measure import new_tally
-from ground_tools.city.radio.choosing import ByPolicy, Fixed, Seen, largest
+from ground_tools.city.radio.choosing import ByPolicy, Fixed, Seen
+from ground_tools.city.radio.network import SetValues, pool
 from ground_tools.city.radio.reception import AnalyticRadio
 from ground_tools.city.tables import new_air, new_fleet, new_near, new_tracks
 from sitl_mocks.channel import Analytic, ChannelParameters, Fleet, all_links, draw_positions, load_parameters
@@ -100,6 +103,29 @@ def test_draws_have_the_mean_delay_of_their_chance() -> None:
     assert float(np.mean(delays)) == pytest.approx(wanted, abs=4.0 * error)
 
 
+def test_draws_that_need_no_logarithm_are_those_of_the_logarithm() -> None:
+    """Chances from one in a million to certainty: the same arrivals and the same state of the generator."""
+    rng, ours, theirs = (np.random.default_rng(seed) for seed in (1, 2, 2))
+    air, grid = new_air(2), Grid(2, np.array([1.0, 1.0, 1.0]), 2, 1.0)
+    air.flight[:] = 0, 1
+    links, frames = grid.find(np.zeros((2, 3)), air, np.ones(2, bool)), Frames(1.0, np.zeros(3), np.zeros(2))
+    arrived = 0
+    for _ in range(5000):
+        air.rates[0] = rng.integers(0, 11, 3)
+        links.chance[links.start[0]] = -(10.0 ** rng.uniform(-6.0, 1.0, 3))
+        draw_arrivals(ours, 5.0, 0, 0, air.rates, links, frames)
+        wanted = math.inf
+        for m, rate in enumerate(air.rates[0].tolist()):
+            if rate > 0:
+                number = math.floor(math.log(1.0 - theirs.random()) / links.chance[links.start[0], m].item())
+                if number < rate:
+                    wanted = min(wanted, 5.0 + (number + theirs.random()) / rate)
+        assert float(links.arrival[links.start[1], 0]) == wanted
+        assert ours.bit_generator.state == theirs.bit_generator.state
+        arrived += wanted < math.inf
+    assert 1000 < arrived < 4000
+
+
 def mean_age_s(arrivals: list[tuple[float, float]], from_s: float, to_s: float) -> float:
     """Mean age over a period, from the times at which messages arrive and were sent; NaN before the first
     message."""
@@ -171,12 +197,31 @@ def test_a_policy_chooses_as_aboard() -> None:
         assert values[one] == pytest.approx(wanted, rel=1e-4, abs=1e-4)
 
 
-def test_the_largest_values_of_each_aircraft_are_those_of_numpy() -> None:
-    rng = np.random.default_rng(6)
-    h = np.maximum(rng.normal(size=(40, 5)), 0.0).astype(np.float32)
-    h[7, 2], h[12, 0] = math.nan, math.inf
-    starts, some = np.array([0, 1, 9, 20]), np.array([0, 2, 3, 5])
-    found = np.zeros((6, 9), np.float32)
-    largest(h, starts, some, found[:, 2:7])
-    assert np.array_equal(found[some, 2:7], np.maximum.reduceat(h, starts, axis=0), equal_nan=True)
-    assert not found[[1, 4]].any()
+@pytest.mark.parametrize("most", [1, 7, 9, 40, 128])
+def test_sums_and_largest_values_of_each_aircraft_are_those_of_numpy_to_the_bit(most: int) -> None:
+    rng = np.random.default_rng(most)
+    count = np.array([most, 1, *rng.integers(1, most + 1, 30), most])
+    h = np.maximum(1e3 * rng.normal(size=(count.sum(), 5)), 0.0).astype(np.float32)
+    h[count[0], 2], h[-1, 0] = math.nan, math.inf
+    starts, some = np.cumsum(count) - count, 2 * np.arange(len(count))
+    found = np.zeros((2 * len(count), 12), np.float32)
+    pool(h, starts, some, np.zeros((8, 5), np.float32), found)
+    wanted = [np.add.reduceat(h, starts, axis=0), np.maximum.reduceat(h, starts, axis=0)]
+    assert np.array_equal(found[some, :10], np.hstack(wanted), equal_nan=True)
+    assert not found[1::2].any()
+    assert not found[:, 10:].any()
+
+
+def test_a_policy_that_admits_more_neighbours_has_the_values_of_one_aircraft_alone() -> None:
+    """NumPy sums more than 128 numbers recursively."""
+    _, tensors = read(shipped(POLICY).read_bytes(), "policy")
+    rng = np.random.default_rng(8)
+    count = np.array([3, 200, 0, 131])
+    rows = rng.random((int(count.sum()), len(NEIGHBOUR_COLUMNS))).astype(np.float32)
+    own = rng.random((len(count), len(OWN_COLUMNS))).astype(np.float32)
+    found = SetValues(tensors).of(own, rows, count)
+    network = SetNetwork(tensors, len(OWN_COLUMNS), len(NEIGHBOUR_COLUMNS), found.shape[1], "policy")
+    ends = np.cumsum(count)
+    for one in range(len(count)):
+        wanted = network.values(own[one], rows[ends[one] - count[one] : ends[one]], 0)
+        assert found[one] == pytest.approx(wanted, rel=1e-4, abs=1e-4)

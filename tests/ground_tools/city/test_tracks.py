@@ -16,7 +16,15 @@ from companion.traffic.eviction import HOLD_S, Judgement, Motion, Ranking, Trust
 from ground_tools.campaign.world import World
 from ground_tools.city.judging import COLUMNS, PLACES, give_up, judge_of
 from ground_tools.city.tables import NOBODY, Tracks, new_fleet, new_tracks
-from ground_tools.city.tracks import Scope, certain, everything, matters
+from ground_tools.city.tracks import (
+    TURNS,
+    Scope,
+    certain,
+    everything,
+    matters,
+    note_turns,
+    turned_since,
+)
 
 NOW_S = 100.0
 MOST = 12
@@ -74,9 +82,20 @@ def test_a_full_table_evicts_the_same_track_as_aboard() -> None:
     assert len(set(found)) > 5
 
 
+def past_of(rng: np.random.Generator, own: k.Own, turns: float) -> tuple[k.History, int]:
+    """A history of own velocities in the last ten seconds that differ from each other, and its length."""
+    times, velocities = np.zeros(64), np.zeros((64, 3))
+    times[:50] = own.now_s - 0.2 * np.arange(50, 0, -1)
+    steps = turns * rng.normal(size=(50, 3)) * [1.0, 1.0, 0.1]
+    velocities[:50] = np.array(own.velocity) + np.cumsum(steps[::-1], axis=0)[::-1]
+    return k.History(times, velocities), 50
+
+
+@pytest.mark.parametrize("turns", [0.0, 0.1, 0.5])
 @pytest.mark.parametrize("change", [8.0, math.inf])
-def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float) -> None:
-    """Random neighbours at all distances. Decisions are the same without those that `matters` excludes."""
+def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float, turns: float) -> None:
+    """Random neighbours at all distances. Decisions are the same without those that `matters` excludes, given
+    what `turned_since` says of the own velocity at the time of their messages."""
     rng = np.random.default_rng(2)
     avoidance, limits = AvoidanceConfig(), LimitsConfig(max_speed_mps=8.0)
     path = k.Path(np.array([0.0, 300.0]), np.array([[0.0, 0.0, -80.0], [2000.0, 0.0, -80.0]]))
@@ -87,6 +106,9 @@ def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float) -> No
     for _ in range(60):
         velocity = k.Vector(float(rng.uniform(3.0, 8.0)), float(rng.uniform(-2.0, 2.0)), 0.3)
         own = k.Own(k.Vector(300.0, 0.0, -80.0), velocity, 1.5, 50.0, 45.0, math.inf, -math.inf)
+        past, samples = past_of(rng, own, turns)
+        farthest = float(np.linalg.norm(past.velocities[:samples] - velocity, axis=1).max())
+        note_turns(own, past, samples, known := np.zeros((2, TURNS)))
         kept = 0
         places = rng.uniform(-1.0, 1.0, (40, 3)) * rng.choice([250.0, 2500.0], (40, 1)) * [1.0, 1.0, 0.02]
         for row in range(40):
@@ -99,13 +121,15 @@ def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float) -> No
                 ]
             )
             k.put_other(table, row, other)
-            if matters(own, other, volume_of(other, own, law), law, Scope(change, 0.0)):
+            turned = turned_since(own, other.age_s, law, Scope(change, farthest), known)
+            assert turned <= farthest
+            if matters(own, other, volume_of(other, own, law), law, Scope(change, turned)):
                 k.put_other(some, kept, other)
                 kept += 1
         decisions = []
         for neighbours, count in ((table, 40), (some, kept)):
-            history = k.History(np.zeros(64), np.zeros((64, 3)))
-            state = k.first_state(law, 0)
+            history = k.History(past.times_s.copy(), past.velocities.copy())
+            state = k.first_state(law, samples)
             decisions.append(k.decide(neighbours, count, own, path, k.NO_WALLS, law, state, history, work))
         if change < everything(law) and not certain(own, law, decisions[1], change):
             continue
