@@ -14,11 +14,13 @@ from types import SimpleNamespace
 
 from companion.errors import ConfigError
 
-RADIUS_M = 25.0
+RADIUS_M = 30.0
 """Radius and half height of the cylinder to keep clear of."""
 LOOK_S = 30.0
 DIRECTIONS_FIRST = 1
 """1: a change of speed is flown only where there is no direction; 0: the nearer of both is flown."""
+COLLISION_M = 20.0
+"""Distance at which aircraft collide: no recovery from within the cylinder keeps less."""
 PERIOD_S = 1.0
 """Time between two questions to DAIDALUS."""
 _STILL_MPS = 0.05
@@ -26,7 +28,7 @@ _STILL_MPS = 0.05
 
 _NUMBER, _POINTER = ctypes.c_double, ctypes.c_void_p
 _FUNCTIONS = {
-    "of": (_POINTER, [_NUMBER] * 3),
+    "set_up": (_POINTER, [_NUMBER] * 4),
     "begin": (None, [_POINTER, *[_NUMBER] * 6]),
     "add": (None, [_POINTER, *[_NUMBER] * 6]),
     "decide": (ctypes.c_int, [_POINTER, ctypes.c_int]),
@@ -72,7 +74,7 @@ class Daidalus:
         wanted, ask = follow.wanted_ned_mps, self._library
         if (wanted[0] ** 2 + wanted[1] ** 2) ** 0.5 < _STILL_MPS:
             return None
-        daa = ask.of(RADIUS_M, LOOK_S, limits.max_speed_mps)
+        daa = ask.set_up(RADIUS_M, LOOK_S, limits.max_speed_mps, COLLISION_M)
         ask.begin(daa, *situation.position_ned_m, *wanted)
         for track in follow.tracks:
             ask.add(daa, *track.position_ned_m, *track.velocity_ned_mps)

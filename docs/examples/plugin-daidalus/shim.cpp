@@ -13,11 +13,6 @@ using namespace larcfm;
 
 namespace {
 
-// Lengths of this law in place of those of crewed aircraft: a recovery from inside the volume keeps the required
-// separation if it can, else less, down to the distance at which aircraft of this size collide. DAIDALUS's own value
-// for the latter, 152 m, is larger than the whole volume: it would never advise a recovery.
-constexpr double REQUIRED_M = 10.0, COLLISION_M = 2.0;
-
 struct Question {
   Daidalus daa;
   double radius_m = 0.0, lookahead_s = 0.0, speed_mps = 0.0;
@@ -26,7 +21,7 @@ struct Question {
   double north = 0.0, east = 0.0;  // the answer
 };
 
-void set_up(Daidalus& daa, double radius_m, double lookahead_s, double speed_mps) {
+void set_up(Daidalus& daa, double radius_m, double lookahead_s, double speed_mps, double collision_m) {
   CDCylinder cylinder(radius_m, "m", radius_m, "m");
   Alerter alerter("dmuca");
   alerter.addLevel(AlertThresholds(cylinder, lookahead_s, lookahead_s, BandsRegion::NEAR));
@@ -41,10 +36,10 @@ void set_up(Daidalus& daa, double radius_m, double lookahead_s, double speed_mps
   daa.setHorizontalDirectionStep(2.0, "deg");
   daa.setTurnRate(45.0, "deg/s");
   daa.setHorizontalAcceleration(2.0, "m/s^2");
-  daa.setHorizontalNMAC(COLLISION_M, "m");
-  daa.setVerticalNMAC(COLLISION_M, "m");
-  daa.setMinHorizontalRecovery(std::fmin(radius_m, REQUIRED_M), "m");
-  daa.setMinVerticalRecovery(std::fmin(radius_m, REQUIRED_M), "m");
+  daa.setHorizontalNMAC(collision_m, "m");
+  daa.setVerticalNMAC(collision_m, "m");
+  daa.setMinHorizontalRecovery(radius_m, "m");
+  daa.setMinVerticalRecovery(radius_m, "m");
   daa.setRecoveryHorizontalDirectionBands(true);
   daa.setRecoveryHorizontalSpeedBands(true);
   daa.setCollisionAvoidanceBands(true);
@@ -58,17 +53,19 @@ void set_up(Daidalus& daa, double radius_m, double lookahead_s, double speed_mps
 #pragma GCC visibility push(default)
 extern "C" {
 
-// A DAIDALUS with a cylinder to keep clear of (its radius and half height), a horizon and a greatest speed. It
-// remembers nothing from one question to the next, so that all aircraft of a thread share one.
-void* dmuca_daidalus_of(double radius_m, double lookahead_s, double speed_mps) {
-  thread_local std::map<std::tuple<double, double, double>, std::unique_ptr<Question>> all;
-  auto& question = all[{radius_m, lookahead_s, speed_mps}];
+// A DAIDALUS with a cylinder to keep clear of (its radius and half height), a horizon and a greatest speed. A recovery
+// from inside the cylinder leaves it again if it can, else it keeps less, down to `collision_m`, the distance at which
+// aircraft collide. If that cannot be kept either, DAIDALUS advises no recovery. It remembers nothing from one question
+// to the next, so that all aircraft of a thread share one.
+void* dmuca_daidalus_set_up(double radius_m, double lookahead_s, double speed_mps, double collision_m) {
+  thread_local std::map<std::tuple<double, double, double, double>, std::unique_ptr<Question>> all;
+  auto& question = all[{radius_m, lookahead_s, speed_mps, collision_m}];
   if (!question) {
     question = std::make_unique<Question>();
     question->radius_m = radius_m;
     question->lookahead_s = lookahead_s;
     question->speed_mps = speed_mps;
-    set_up(question->daa, radius_m, lookahead_s, speed_mps);
+    set_up(question->daa, radius_m, lookahead_s, speed_mps, collision_m);
   }
   return question.get();
 }

@@ -60,7 +60,7 @@ def draw(path: Path, lines: Sequence[Line]) -> None:
         for axes, encounter, title in zip(figure.subplots(1, 2), ENCOUNTERS, _TITLES, strict=True):
             _panel(axes, encounter, found)
             axes.set_title(title)
-        axes.legend(fontsize=11, frameon=False)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
 
 
 def _panel(axes: Any, encounter: Cell, found: dict[Cell, dict[str, Any]]) -> None:

@@ -50,8 +50,8 @@ def _function(name: str, answer: Any, *arguments: Any) -> Any:
     return types.ExternalFunction(f"dmuca_daidalus_{name}", answer(*arguments))
 
 
-_NAMES: Final = ("of", "begin", "add", "decide", "north", "east")
-_OF = _function("of", _HANDLE, _NUMBER, _NUMBER, _NUMBER)
+_NAMES: Final = ("set_up", "begin", "add", "decide", "north", "east")
+_SET_UP = _function("set_up", _HANDLE, *[_NUMBER] * 4)
 _BEGIN = _function("begin", types.void, _HANDLE, *[_NUMBER] * 6)
 _ADD = _function("add", types.void, _HANDLE, *[_NUMBER] * 6)
 _DECIDE = _function("decide", types.int32, _HANDLE, types.int32)
@@ -70,6 +70,9 @@ class Daidalus(NamedTuple):
     """1: a change of speed is flown only where there is no direction; 0: the nearer of both is flown."""
     predicted: float
     """1: positions are extrapolated by the age of the message; 0: they are those of the message."""
+    collision_m: float
+    """Distance at which aircraft collide (DAIDALUS's near mid-air collision, both ways): no recovery from
+    within the volume keeps less."""
 
 
 @functools.cache
@@ -105,7 +108,7 @@ _compiled = compiled()
 def parameters(settings: Floats, i: int) -> Daidalus:
     """The parameters of aircraft i."""
     p = settings[i, FIRST:]
-    return Daidalus(p[0], p[1], p[2], p[3])
+    return Daidalus(p[0], p[1], p[2], p[3], p[4])
 
 
 @_compiled
@@ -115,7 +118,7 @@ def _ask(mind: Mind, i: int, count: int, own: k.Own, wanted: k.Vector, p: Daidal
     notes[_BEGUN], notes[_TIME], notes[_ACTIVE] = 1.0, own.now_s, 0.0
     if math.sqrt(wanted.n * wanted.n + wanted.e * wanted.e) < _STILL_MPS:
         return
-    daa = _OF(p.radius_m, p.look_s, law.speed_mps)
+    daa = _SET_UP(p.radius_m, p.look_s, law.speed_mps, p.collision_m)
     place = own.position
     _BEGIN(daa, place.n, place.e, place.d, wanted.n, wanted.e, wanted.d)
     for row in range(count):

@@ -119,14 +119,14 @@ PEERS: Final[dict[str, Peer]] = {
     "daidalus": Peer(
         "follow the nearest advice of NASA's DAIDALUS",
         cast(Loop, daidalus.fly),
-        Daidalus(radius_m=25.0, look_s=30.0, directions_first=1.0, predicted=1.0),
+        Daidalus(radius_m=30.0, look_s=30.0, directions_first=1.0, predicted=1.0, collision_m=20.0),
         grid={
-            "radius_m": (16.0, 20.0, 25.0, 30.0),
-            "look_s": (10.0, 20.0, 30.0),
-            "directions_first": (0.0, 1.0),
+            "radius_m": (20.0, 25.0, 30.0, 40.0),
+            "look_s": (20.0, 30.0),
+            "collision_m": (10.0, 15.0, 20.0),
         },
-        main="radius_m",
-        values=(16.0, 20.0, 25.0, 30.0),
+        main="collision_m",
+        values=(10.0, 20.0, 25.0),
         needs=daidalus.load,
     ),
 }
