@@ -57,9 +57,11 @@ def packed(kind: type[MavlinkMessage], *fields: float) -> Payload:
     long to make and to encode.
 
     Args:
-        fields: all fields in wire order, which is that of `kind.ordered_fieldnames`.
+        fields: fields in wire order, which is that of `kind.ordered_fieldnames`. Extensions may be left out;
+            another version of pymavlink may know more of them.
     """
-    return Payload(kind.id, kind.unpacker.pack(*fields))
+    extensions = len(kind.ordered_fieldnames) - len(fields)
+    return Payload(kind.id, kind.unpacker.pack(*fields, *[0] * extensions))
 
 
 class SetpointMessage(NamedTuple):

@@ -263,7 +263,7 @@ class Telemetry:
         altitude = self._options.home_alt_msl_m - self._flight.body.down
         pressure_hpa = 1013.25 * (1.0 - altitude / 44_330.77) ** (1.0 / 0.190263)
         kind = mavlink.MAVLink_scaled_pressure_message
-        return packed(kind, self._boot_ms(now_s), pressure_hpa, 0.0, 1500, 0)
+        return packed(kind, self._boot_ms(now_s), pressure_hpa, 0.0, 1500)
 
     def attitude_rad(self) -> Vec3:
         """Roll, pitch and yaw of a multicopter with this acceleration."""

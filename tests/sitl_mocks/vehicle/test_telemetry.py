@@ -20,6 +20,7 @@ from companion.ownship import pressure_altitude_m
 from sitl_mocks.vehicle.firmware.behaviour import PX4 as PX4_MANNERS
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.firmware.param_tables import INT32
+from sitl_mocks.vehicle.links import packed
 from sitl_mocks.vehicle.motion.navigation import Globe
 from tests.support.place import HOME
 
@@ -410,3 +411,12 @@ def set_mode_bytes(mode):
     number = PX4_MANNERS.custom_modes[mode]
     params = (1.0, float(number >> 16 & 0xFF), float(number >> 24), 0, 0, 0, 0)
     return MavlinkWriter(1, 191).pack(mavlink.MAVLink_command_long_message(1, 1, 176, 0, *params))
+
+
+def test_a_packed_message_is_that_of_pymavlink_and_may_lack_extensions():
+    """Other versions of pymavlink may know more extensions of a message."""
+    kind = mavlink.MAVLink_scaled_pressure_message
+    mav = mavlink.MAVLink(None)
+    sent = kind(7, 1013.25, -1.5, 1500).pack(mav)
+    body = packed(kind, 7, 1013.25, -1.5, 1500).body
+    assert sent[10 : 10 + sent[1]] == body.rstrip(b"\0")
