@@ -25,6 +25,8 @@ PORTS = ("14640", "14540", "14541")
 PATIENCE_S = 500.0
 FLIGHTS = 4
 """If a stall of the machine ends so many encounters, each about half a minute long, it cannot fly them."""
+LAST_START_S = 250.0
+"""An encounter that begins later may not end before the time is over, on a machine that is so slow."""
 
 
 def script():
@@ -124,14 +126,14 @@ def logs(folder):
 
 def test_two_aircraft_meet_and_are_kept_apart(short_paths, programs):
     pytest.importorskip("matplotlib", reason="the report needs the extra inspect")
-    give_up_s = time.monotonic() + PATIENCE_S
+    began_s = time.monotonic()
     for _ in range(FLIGHTS):
         place = short_paths()
-        code = follow(place, programs, give_up_s)
-        if code is not None:
+        code = follow(place, programs, began_s + PATIENCE_S)
+        if code is not None or time.monotonic() > began_s + LAST_START_S:
             break
-    else:
-        pytest.skip(f"a stall of this machine ended each of {FLIGHTS} encounters")
+    if code is None:
+        pytest.skip("a stall of this machine ended each encounter")
     output = (place / "output.txt").read_text()
     assert code == 0, output
     folder = place / "first-flight"
