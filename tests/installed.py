@@ -377,6 +377,8 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="install there, and leave it there")
     arguments = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # A shell without job control lets its background processes ignore Ctrl-C, and what they start as well.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     commands = [smaller(c) for c in commands_of_the_docs() if untried(c) is None]
     commands = [c for c in (*commands, *MORE) if re.search(arguments.only or "", c)]
     began_s = time.monotonic()
