@@ -7,7 +7,7 @@ import math
 import pytest
 
 from companion.remote_id.messages import Location
-from companion.traffic.fix import Belief, make_fix
+from companion.traffic.fix import Belief, hold, make_fix
 from tests.support.place import HOME
 
 SEPARATION_M = 47.0
@@ -170,3 +170,13 @@ def test_states_agree_within_noise_and_a_gentle_manoeuvre(off, agree):
 def test_a_state_is_compared_with_where_the_other_one_leads():
     assert told(speed_mps=20.0).agrees(told(40.0, at_s=12.0, told_s=12.0, speed_mps=20.0))
     assert not told(speed_mps=20.0).agrees(told(0.0, at_s=12.0, told_s=12.0, speed_mps=20.0))
+
+
+def test_a_belief_with_which_a_message_agrees_is_as_fresh_as_that_message():
+    """Also one that is kept, because the message followed it too soon to replace it."""
+    first = told(at_s=0.0, told_s=0.0, north_m=0.0, speed_mps=5.0)
+    later = told(at_s=1.0, told_s=1.0, north_m=5.0, speed_mps=5.0)
+    for least_s, kept in ((3.0, first), (0.5, later)):
+        beliefs = [first]
+        hold(beliefs, later, 1.0, least_s)
+        assert beliefs == [kept._replace(agreed_s=1.0)]
