@@ -57,8 +57,6 @@ class Schedule:
         self._region = region
         self._phase = zlib.crc32(identity.encode()) / 2**32
         self._lanes: dict[str, _Lane] = {}
-        self._wanted: tuple[Mapping[str, int], frozenset[str]] | None = None
-        """Rates and working transports of which `_lanes` is the result."""
         self._last_s: float | None = None
         self._step_s = 0.0
         self._limits: dict[
@@ -74,7 +72,6 @@ class Schedule:
     def stop(self) -> None:
         """Take all transports off the air. They begin anew when they are wanted again."""
         self._lanes.clear()
-        self._wanted = None
 
     def due(
         self,
@@ -87,7 +84,7 @@ class Schedule:
         """Transports to send on now, each with the kinds of messages to send there.
 
         Args:
-            rates: transports to be on the air, with their Locations a second. Not changed after the call.
+            rates: transports to be on the air, with their Locations a second.
             can_send: transports that work at all.
             wifi_channel: channel of the beacons; None while unknown.
             kinds: kinds of all messages that there are at this time, Location among them.
@@ -98,9 +95,7 @@ class Schedule:
             # now.
             self._step_s = min(max(now_s - self._last_s, 0.9 * self._step_s), _LONGEST_STEP_S)
         self._last_s = now_s
-        if self._wanted is None or self._wanted[0] is not rates or self._wanted[1] is not can_send:
-            self._wanted = rates, can_send
-            self._change(rates, can_send, now_s)
+        self._change(rates, can_send, now_s)
         found = []
         for transport, lane in self._lanes.items():
             key = transport, wifi_channel, kinds
