@@ -39,7 +39,7 @@ site: .venv/docs.stamp
 packages: .venv/dev.stamp
 	rm -rf build/dist
 	$(BIN)/python -m hatchling build -t wheel -d build/dist
-	for script in try_plugins try_install try_deb try_image; do \
+	for script in try_plugins try_lowest try_install try_deb try_image; do \
 	    tests/packaging/$$script.sh build/dist/*.whl || [ $$? = 77 ] || exit 1; \
 	done
 

@@ -70,7 +70,7 @@ def test_the_scripts_can_be_read_by_a_shell(script):
         assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.parametrize("script", ["try_plugins", "try_install", "try_deb", "try_image"])
+@pytest.mark.parametrize("script", ["try_plugins", "try_lowest", "try_install", "try_deb", "try_image"])
 def test_a_script_that_cannot_run_says_what_it_lacks(tmp_path, script):
     for tool in ("dirname", "realpath", "id", "dpkg", "sh"):
         (tmp_path / tool).symlink_to(shutil.which(tool) or "/bin/false")
@@ -83,6 +83,7 @@ def test_a_script_that_cannot_run_says_what_it_lacks(tmp_path, script):
         text=True,
     )
     in_systems = "mmdebstrap" if os.getuid() == 0 else "root"
-    missing = {"try_plugins": "python3", "try_image": "podman"}.get(script, in_systems)
+    by_pip = dict.fromkeys(("try_plugins", "try_lowest"), "python3")
+    missing = {**by_pip, "try_image": "podman"}.get(script, in_systems)
     assert done.returncode == 77, done.stderr
     assert re.match(rf"SKIPPED: .*{missing}", done.stdout), done.stdout

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 from rich.console import Console
 from rich.progress import Progress
@@ -16,11 +16,11 @@ def progress(words: str, steps: int) -> Iterator[Callable[[], None]]:
     shown = Progress(
         console=Console(stderr=True),
         transient=True,
-        disable=not sys.stderr.isatty(),
         # Otherwise output printed meanwhile would go to stderr too.
         redirect_stdout=False,
         redirect_stderr=False,
     )
-    with shown:
+    # A bar that is only disabled prints an empty line (rich before 14.3).
+    with shown if sys.stderr.isatty() else nullcontext():
         task = shown.add_task(words, total=steps)
         yield lambda: shown.advance(task)

@@ -10,7 +10,7 @@ import queue
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, as_completed
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from functools import partial
 from multiprocessing.queues import Queue
 from pathlib import Path
@@ -292,8 +292,10 @@ def _fly_all(
     with interrupts_held():
         shared: Queue[tuple[int, float]] = multiprocessing.get_context("spawn").Queue()
     waiting = list(seeds)
+    bar = Progress(console=console, transient=True)
     with (
-        Progress(console=console, transient=True, disable=not console.is_terminal) as bar,
+        # A bar that is only disabled prints an empty line (rich before 14.3).
+        bar if console.is_terminal else nullcontext(),
         worker_pool(_workers(seeds), _initialise, shared) as pool,
     ):
         try:

@@ -96,8 +96,8 @@ def test_ages_follow_from_the_delays_of_the_numpy_model(awareness, aircraft):
 
 def test_an_age_is_that_of_a_poisson_stream_cut_at_three_seconds():
     rates = torch.tensor([0.0, 0.1, 1.0, 10.0])
-    times = np.linspace(0.0, 3.0, 300_001)
-    expected = [np.trapezoid(np.exp(-rate * times), times) for rate in rates.tolist()]
+    times = torch.linspace(0.0, 3.0, 300_001, dtype=torch.float64)
+    expected = [float(torch.trapezoid(torch.exp(-rate * times), times)) for rate in rates]
     assert age_s(rates).tolist() == pytest.approx(expected, rel=1e-3)
 
 

@@ -37,7 +37,8 @@ def escape_of(
 def test_the_way_aside_is_that_of_a_limited_acceleration_up_to_a_speed(more: float, t: float) -> None:
     times = np.linspace(0.0, t, 100_001)
     speeds = np.minimum(2.0 * times, max(more, 0.0))
-    assert way_aside(more, t, 2.0) == pytest.approx(float(np.trapezoid(speeds, times)), abs=1e-3)
+    way_m = float((speeds[1:] + speeds[:-1]).sum()) / 2.0 * t / 100_000
+    assert way_aside(more, t, 2.0) == pytest.approx(way_m, abs=1e-3)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
