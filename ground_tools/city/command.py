@@ -127,10 +127,9 @@ def city_of(args: argparse.Namespace) -> City:
     Raises:
         ConfigError: an option is wrong.
     """
+    _check(args)
     north_km, east_km = args.size
     low, high = args.delay
-    if not 0.0 <= low <= high <= 15.0:
-        raise ConfigError(f"--delay: {low:g} {high:g}; allowed: two rising numbers from 0 to 15")
     try:
         wanted = msgspec.convert(
             {
@@ -166,9 +165,32 @@ def city_of(args: argparse.Namespace) -> City:
         raise ConfigError(
             f"--density: {wanted.aircraft:,.0f} aircraft in the air; allowed: up to {_MOST_AIRCRAFT:,}"
         )
-    if city.settle_s >= city.duration_s:
-        raise ConfigError(f"--settle: {city.settle_s:g}; allowed: less than the length of a run")
     return city
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse numbers that are out of range, which NaN always is, in the names and units of the options.
+
+    Raises:
+        ConfigError: names the option, its value and what is allowed.
+    """
+    (low, high), length_s = args.delay, 60.0 * args.minutes
+    for option, value, good, allowed in (
+        ("--density", args.density, 0.0 < args.density <= 200.0, "above 0, up to 200"),
+        *(("--size", km, 1.0 <= km <= 20.0, "1 to 20") for km in args.size),
+        ("--speed", args.speed, 5.0 <= args.speed <= 30.0, "5 to 30"),
+        ("--from", args.from_s, math.isfinite(args.from_s), "any finite number"),
+        ("--minutes", args.minutes, 10.0 <= length_s <= 86_400.0, "1/6 to 1440"),
+        ("--settle", args.settle, 0.0 <= args.settle < length_s, "0 up to, but not, the run's length"),
+        ("--separation", args.separation, 0.0 < args.separation <= 100.0, "above 0, up to 100"),
+        ("--load", args.load, 0.0 <= args.load < 1.0, "0 up to, but not, 1"),
+        ("--loss", args.loss, 0.0 <= args.loss <= 1.0, "0 to 1"),
+        ("--reach", args.reach, 0.0 < args.reach < math.inf, "any finite number above 0"),
+    ):
+        if not good:
+            raise ConfigError(f"{option}: {value:g} is out of range; allowed: {allowed}")
+    if not 0.0 <= low <= high <= 15.0:
+        raise ConfigError(f"--delay: {low:g} {high:g}; allowed: two rising numbers from 0 to 15")
 
 
 def fly_missing(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 from pathlib import Path
 
 import msgspec
@@ -115,15 +116,42 @@ def test_runs_depend_on_the_channel_and_the_policy(tmp_path: Path) -> None:
         kept(tmp_path, SMALL)
 
 
-def test_wrong_options_are_refused() -> None:
-    for options, words in (
-        (["--density", "190", "--size", "20", "20"], "up to 20,000"),
-        (["--density", "-1"], "per_km2"),
-        (["--settle", "600"], "--settle"),
-        (["--delay", "3", "1"], "--delay"),
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--density", "190", "--size", "20", "20"], "76,000 aircraft in the air; allowed: up to 20,000"),
+        (["--density", "0"], "--density: 0 is out of range; allowed: above 0, up to 200"),
+        (["--density", "nan"], "--density: nan is out of range"),
+        (["--size", "1", "0.5"], "--size: 0.5 is out of range; allowed: 1 to 20"),
+        (["--size", "nan", "1"], "--size: nan is out of range"),
+        (["--speed", "4"], "--speed: 4 is out of range; allowed: 5 to 30"),
+        (["--from", "nan"], "--from: nan is out of range; allowed: any finite number"),
+        (["--minutes", "-3"], "--minutes: -3 is out of range; allowed: 1/6 to 1440"),
+        (["--settle", "600"], "--settle: 600 is out of range; allowed: 0 up to, but not, the run's length"),
+        (["--settle", "nan"], "--settle: nan is out of range"),
+        (["--separation", "0"], "--separation: 0 is out of range; allowed: above 0, up to 100"),
+        (["--load", "1"], "--load: 1 is out of range; allowed: 0 up to, but not, 1"),
+        (["--loss", "1.5"], "--loss: 1.5 is out of range; allowed: 0 to 1"),
+        (["--reach", "inf"], "--reach: inf is out of range; allowed: any finite number above 0"),
+        (["--delay", "3", "1"], "--delay: 3 1; allowed: two rising numbers from 0 to 15"),
+    ],
+)
+def test_wrong_options_are_refused(options: list[str], words: str) -> None:
+    """Each message names the option, its value and what is allowed, in the option's own unit."""
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        cells_of(options)
+
+
+def test_the_least_and_the_greatest_values_are_allowed() -> None:
+    """What the options allow is what `City` and `Demand` allow."""
+    for options in (
+        ["--size", "1", "20", "--speed", "5", "--settle", "0", "--loss", "0", "--load", "0"],
+        ["--density", "200", "--size", "1", "1", "--speed", "30", "--separation", "100", "--loss", "1"],
+        ["--minutes", str(1 / 6), "--settle", "0"],
+        ["--minutes", "1440", "--from", "-5"],
     ):
-        with pytest.raises(ConfigError, match=words):
-            cells_of(options)
+        city = cells_of(options)
+        assert city == msgspec.convert(msgspec.to_builtins(city), City)
 
 
 def cells_of(options: list[str]) -> City:

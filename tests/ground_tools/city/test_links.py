@@ -33,10 +33,11 @@ def check(links: Links, position: Floats, air: Air) -> dict[tuple[int, int], int
 
 
 @pytest.mark.parametrize("slots", [1, 64, 150])
-def test_links_are_found_and_carried_over(slots: int) -> None:
+@pytest.mark.parametrize("middle", [(0.0, 0.0), (-9000.0, 5000.0), (5000.0, -9000.0)])
+def test_links_are_found_and_carried_over(middle: tuple[float, float], slots: int) -> None:
     rng = np.random.default_rng(slots)
     air, grid = new_air(slots), Grid(slots, REACH_M, 2, 100.0)
-    position = rng.uniform(-4000.0, 4000.0, (slots, 3)) * [1.0, 1.0, 0.01]
+    position = rng.uniform(-4000.0, 4000.0, (slots, 3)) * [1.0, 1.0, 0.01] + [*middle, 0.0]
     fresh = np.ones(slots, bool)
     before: dict[tuple[int, int], int] = {}
     links = grid.links

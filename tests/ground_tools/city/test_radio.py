@@ -104,7 +104,8 @@ def test_draws_have_the_mean_delay_of_their_chance() -> None:
 
 
 def test_draws_that_need_no_logarithm_are_those_of_the_logarithm() -> None:
-    """Chances from one in a million to certainty: the same arrivals and the same state of the generator."""
+    """Chances down to the least number in single precision: the same arrivals and the same state of the
+    generator. Foreign transmissions for 0.98 of the time leave one beacon in 10^18."""
     rng, ours, theirs = (np.random.default_rng(seed) for seed in (1, 2, 2))
     air, grid = new_air(2), Grid(2, np.array([1.0, 1.0, 1.0]), 2, 1.0)
     air.flight[:] = 0, 1
@@ -112,12 +113,13 @@ def test_draws_that_need_no_logarithm_are_those_of_the_logarithm() -> None:
     arrived = 0
     for _ in range(5000):
         air.rates[0] = rng.integers(0, 11, 3)
-        links.chance[links.start[0]] = -(10.0 ** rng.uniform(-6.0, 1.0, 3))
+        links.chance[links.start[0]] = -(10.0 ** rng.uniform(rng.choice([-6.0, -45.0]), 1.0, 3))
         draw_arrivals(ours, 5.0, 0, 0, air.rates, links, frames)
         wanted = math.inf
         for m, rate in enumerate(air.rates[0].tolist()):
-            if rate > 0:
-                number = math.floor(math.log(1.0 - theirs.random()) / links.chance[links.start[0], m].item())
+            fails = links.chance[links.start[0], m].item()
+            if rate > 0 and fails < 0.0:
+                number = math.floor(math.log(1.0 - theirs.random()) / fails)
                 if number < rate:
                     wanted = min(wanted, 5.0 + (number + theirs.random()) / rate)
         assert float(links.arrival[links.start[1], 0]) == wanted

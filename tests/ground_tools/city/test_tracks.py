@@ -9,6 +9,7 @@ import pytest
 
 from companion.avoidance import kernels as k
 from companion.avoidance.kernels.neighbours import volume_of
+from companion.avoidance.kernels.timelines import own_velocity_at
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
@@ -89,6 +90,32 @@ def past_of(rng: np.random.Generator, own: k.Own, turns: float) -> tuple[k.Histo
     steps = turns * rng.normal(size=(50, 3)) * [1.0, 1.0, 0.1]
     velocities[:50] = np.array(own.velocity) + np.cumsum(steps[::-1], axis=0)[::-1]
     return k.History(times, velocities), 50
+
+
+def test_turns_are_bounded_for_the_velocity_that_the_law_uses_for_a_message() -> None:
+    """Also for messages older than `note_turns` looks back, and in the first seconds of a flight."""
+    rng = np.random.default_rng(3)
+    law = settings_of(
+        AvoidanceConfig(), LimitsConfig(), Trajectory([0.0, 9.0], [(0.0, 0.0, 0.0), (9.0, 0.0, 0.0)])
+    )
+    velocity, tight = k.Vector(5.0, -1.0, 0.3), 0
+    own = k.Own(k.Vector(0.0, 0.0, -80.0), velocity, 1.5, 50.0, 45.0, math.inf, -math.inf)
+    for _ in range(300):
+        past, samples = past_of(rng, own, 0.5)
+        first = 0 if rng.random() < 0.7 else int(rng.integers(samples + 1))  # few velocities are known yet
+        times, velocities = np.zeros(64), np.zeros((64, 3))
+        samples -= first
+        times[:samples], velocities[:samples] = past.times_s[first:50], past.velocities[first:50]
+        history = k.History(times, velocities)
+        farthest = float(np.linalg.norm(velocities[:samples] - velocity, axis=1).max(initial=0.0))
+        note_turns(own, history, samples, known := np.zeros((2, TURNS)))
+        samples = k.note_velocity(times, velocities, samples, own.now_s, (velocity.n, velocity.e, velocity.d))
+        for age_s in (0.0, 0.2, *rng.uniform(0.0, 4.0, 20).tolist()):
+            then = own_velocity_at(history, samples, own.now_s - age_s)
+            bound = turned_since(own, age_s, law, Scope(2.0, farthest), known)
+            assert math.dist(then, velocity) <= bound + 1e-12
+            tight += bound < farthest
+    assert tight > 2000
 
 
 @pytest.mark.parametrize("turns", [0.0, 0.1, 0.5])
