@@ -149,7 +149,7 @@ def _decided(
     before = k.State(command, air.decided_s[i], air.quiet[i], air.late_s[i], air.samples[i])
     history = k.History(air.times_s[i], air.velocities[i])
     note_turns(own, history, air.samples[i], desk.turns)
-    most = everything(law)
+    most = everything(own, law)
     change = min(air.change[i], most) if law.law == k.DMUCA else most
     asked, count = _look(rules, now, i, own, law, Scope(change, turned), desk, state)
     decision = k.decide(desk.neighbours, count, own, path, fence, law, before, history, work)

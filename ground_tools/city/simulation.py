@@ -13,6 +13,7 @@ import numpy as np
 from companion.arrays import Bools, Floats, Integers
 from companion.avoidance import kernels as k
 from companion.avoidance.kernels.neighbours import NEWS_S
+from companion.avoidance.kernels.timelines import HISTORY_SPACING_S
 from companion.config import AvoidanceConfig, TrafficConfig
 from companion.errors import ConfigError
 from ground_tools.campaign.vehicles import AVOIDS, Fleet, begin
@@ -88,7 +89,8 @@ class Simulation:
         clear_m: see `CLEAR_M`.
 
     Raises:
-        ConfigError: messages are more frequent than `kernels.note_track` takes in.
+        ConfigError: messages are more frequent than `kernels.note_track` takes in, or decisions more frequent
+            than `kernels.note_velocity` does.
     """
 
     def __init__(
@@ -110,6 +112,11 @@ class Simulation:
         self._world = conditions = world.conditions(avoidance.period_s)
         if conditions.message * world.step_s <= NEWS_S:
             raise ConfigError(f"message_s must be above {NEWS_S:g}, so that every message counts for a track")
+        if avoidance.period_s < HISTORY_SPACING_S:
+            raise ConfigError(
+                f"avoidance.period_s: {avoidance.period_s:g}; a city allows {HISTORY_SPACING_S:g} or more, "
+                "so that every decision counts for the history of velocities"
+            )
         planned = math.ceil(_ROOM * largest_number_in_the_air(flights)) + 4
         self.slots = slots = planned if slots is None else slots
         self._steps_of_part = round(PART_S / world.step_s)

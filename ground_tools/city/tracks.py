@@ -182,9 +182,12 @@ class Scope(NamedTuple):
 
 
 @_compiled
-def everything(law: k.Settings) -> float:
-    """`Scope.change` that covers all velocities that an aircraft can fly."""
-    return 2.0 * _FASTER * law.speed_mps
+def everything(own: k.Own, law: k.Settings) -> float:
+    """`Scope.change` that covers all velocities that an aircraft can fly, also if it is faster than the law
+    allows: in gusts, or because it began so."""
+    v = own.velocity
+    ours = math.sqrt(v.n * v.n + v.e * v.e + v.d * v.d)
+    return max(2.0 * _FASTER * law.speed_mps, law.speed_mps + ours)
 
 
 @_compiled

@@ -119,7 +119,7 @@ def _pool(processes: int, words: Console) -> Iterator[ProcessPoolExecutor]:
         except BrokenProcessPool as error:
             raise ConfigError(
                 "a worker process was killed (out of memory?); with --out, finished flights are kept and the "
-                "same command continues from them; fewer --processes need less memory"
+                "same command continues from them; fewer processes need less memory"
             ) from error
         except KeyboardInterrupt:
             words.print(_INTERRUPTED)

@@ -103,12 +103,14 @@ class AnalyticRadio:
         self.frames = Frames(message_s, offsets_s(parameters), np.zeros(slots))
         load = parameters.background
         quiet = background_survival(parameters, np.array([[load.ble4, load.ble5, load.wifi]]))
-        self._quiet = np.log([quiet.ble4[0], quiet.pointer[0], quiet.auxiliary[0]])
+        with np.errstate(divide="ignore"):  # with a full channel nothing is received
+            self._quiet = np.log([quiet.ble4[0], quiet.pointer[0], quiet.auxiliary[0]])
+            quiet_wifi = float(np.log(quiet.wifi[0]))
         p, wifi = parameters.propagation, parameters.wifi
         budget = wifi.transmit_power_dbm - wifi.sensitivity_dbm - p.loss_at_1m_db
         self.around = Around(
             np.zeros((slots, PARTS_OF_LOAD)), np.zeros((slots, PARTS_OF_LOAD)), np.zeros(slots),
-            np.zeros((slots, 3)), float(np.log(quiet.wifi[0])),
+            np.zeros((slots, 3)), quiet_wifi,
             1.0 if parameters.wifi.access == "carrier_sense" else 0.0,
             float(10.0 ** (2.0 * budget / (10.0 * p.exponent))),
         )  # fmt: skip

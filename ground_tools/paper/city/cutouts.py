@@ -169,6 +169,13 @@ def city_of(args: argparse.Namespace, density: float, load: float) -> City:
             "--densities: above 0, up to 200; --aircraft: 2 to 20000; --settle: 0 up to, but not, --minutes"
         )
     side_m = 1000.0 * math.sqrt(args.aircraft / density)
+    if not 1000.0 <= side_m <= 20_000.0:
+        raise ConfigError(
+            f"--aircraft: {args.aircraft} at {density:g} per km² are a square of {side_m:,.0f} m; allowed: "
+            "1,000 to 20,000 m"
+        )
+    if not 10.0 <= 60.0 * args.minutes <= 86_400.0:
+        raise ConfigError(f"--minutes: {args.minutes:g} is out of range; allowed: 1/6 to 1440")
     city = City(
         demand=Demand(per_km2=density, north_m=side_m, east_m=side_m),
         duration_s=60.0 * args.minutes, settle_s=args.settle, region=_REGION, load=load,

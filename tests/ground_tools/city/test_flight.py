@@ -10,6 +10,7 @@ from companion.arrays import Floats
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
+from companion.errors import ConfigError
 from ground_tools.campaign import flight, outcome, vehicles
 from ground_tools.campaign.generators import draw
 from ground_tools.campaign.world import World
@@ -80,3 +81,13 @@ def test_an_encounter_is_flown_as_in_the_campaign(kind: str, seed: int, delay_s:
     tally = city.state.tally.flights
     assert tally[:, T_LEAST].min() == separation_m
     assert tally[:, T_GAP_MOST].max() == result[outcome.F_DEVIATION]
+
+
+def test_decisions_that_the_history_of_velocities_does_not_keep_are_refused() -> None:
+    often = msgspec.structs.replace(AVOIDANCE, period_s=0.02)
+    rng = np.random.default_rng(1)
+    with pytest.raises(ConfigError, match=r"avoidance\.period_s: 0\.02; a city allows 0\.04 or more"):
+        Simulation(
+            flights_of([], often), often, msgspec.structs.replace(World(), step_s=0.02), GIVEN,
+            np.array([5000.0, 0.0, 0.0]), rng, rng,
+        )  # fmt: skip

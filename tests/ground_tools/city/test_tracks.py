@@ -120,19 +120,24 @@ def test_turns_are_bounded_for_the_velocity_that_the_law_uses_for_a_message() ->
 
 @pytest.mark.parametrize("turns", [0.0, 0.1, 0.5])
 @pytest.mark.parametrize("change", [8.0, math.inf])
-def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float, turns: float) -> None:
+@pytest.mark.parametrize("speed_mps", [8.0, 1.0])
+def test_a_neighbour_that_cannot_matter_changes_no_decision(
+    change: float, turns: float, speed_mps: float
+) -> None:
     """Random neighbours at all distances. Decisions are the same without those that `matters` excludes, given
-    what `turned_since` says of the own velocity at the time of their messages."""
+    what `turned_since` says of the own velocity at the time of their messages. With the lower limit the own
+    aircraft is faster than its law allows."""
     rng = np.random.default_rng(2)
-    avoidance, limits = AvoidanceConfig(), LimitsConfig(max_speed_mps=8.0)
+    avoidance, limits = AvoidanceConfig(), LimitsConfig(max_speed_mps=speed_mps)
     path = k.Path(np.array([0.0, 300.0]), np.array([[0.0, 0.0, -80.0], [2000.0, 0.0, -80.0]]))
     law = settings_of(avoidance, limits, Trajectory(path.times_s.tolist(), path.points.tolist()))
     table, some, work = np.zeros((40, k.OTHER_COLUMNS)), np.zeros((40, k.OTHER_COLUMNS)), k.workspace(0, 40)
     left_out = compared = conflicts = 0
-    change = min(change, everything(law))
     for _ in range(60):
         velocity = k.Vector(float(rng.uniform(3.0, 8.0)), float(rng.uniform(-2.0, 2.0)), 0.3)
         own = k.Own(k.Vector(300.0, 0.0, -80.0), velocity, 1.5, 50.0, 45.0, math.inf, -math.inf)
+        most = everything(own, law)
+        within = min(change, most)
         past, samples = past_of(rng, own, turns)
         farthest = float(np.linalg.norm(past.velocities[:samples] - velocity, axis=1).max())
         note_turns(own, past, samples, known := np.zeros((2, TURNS)))
@@ -148,9 +153,9 @@ def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float, turns
                 ]
             )
             k.put_other(table, row, other)
-            turned = turned_since(own, other.age_s, law, Scope(change, farthest), known)
+            turned = turned_since(own, other.age_s, law, Scope(within, farthest), known)
             assert turned <= farthest
-            if matters(own, other, volume_of(other, own, law), law, Scope(change, turned)):
+            if matters(own, other, volume_of(other, own, law), law, Scope(within, turned)):
                 k.put_other(some, kept, other)
                 kept += 1
         decisions = []
@@ -158,7 +163,7 @@ def test_a_neighbour_that_cannot_matter_changes_no_decision(change: float, turns
             history = k.History(past.times_s.copy(), past.velocities.copy())
             state = k.first_state(law, samples)
             decisions.append(k.decide(neighbours, count, own, path, k.NO_WALLS, law, state, history, work))
-        if change < everything(law) and not certain(own, law, decisions[1], change):
+        if within < most and not certain(own, law, decisions[1], within):
             continue
         compared += 1
         left_out += 40 - kept

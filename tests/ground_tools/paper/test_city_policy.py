@@ -56,7 +56,11 @@ def test_runs_are_kept_and_shown_beside_the_fixed_set(tmp_path, capsys):
     [
         (["--methods", "0-0-10"], "--methods: 0-0-10 is unknown"),
         (["--densities", "0"], "--densities: above 0"),
-        (["--minutes", "0.1", "--settle", "0"], "the options are not allowed"),
+        (["--minutes", "0.1", "--settle", "0"], "--minutes: 0.1 is out of range; allowed: 1/6 to 1440"),
+        (
+            ["--aircraft", "2", "--densities", "30"],
+            "--aircraft: 2 at 30 per km² are a square of 258 m; allowed",
+        ),
     ],
 )
 def test_wrong_options_are_reported(options, words, tmp_path, capsys):
