@@ -126,7 +126,7 @@ def _sweep(path: Path) -> list[str]:
 
 def entries() -> list[Entry]:
     """All kept files, in the order of their names."""
-    found = [*_tables(), *_compared(), _encounters(), _unheard(), *_flown(), *_cities(), *_trained()]
+    found = [*_tables(), *_compared(), *_encounters(), _unheard(), *_flown(), *_cities(), *_trained()]
     return sorted(found, key=lambda entry: entry.name)
 
 
@@ -170,14 +170,21 @@ def _compared() -> list[Entry]:
     ]
 
 
-def _encounters() -> Entry:
-    return Entry(
-        "results/campaign/encounters.json",
-        "ground-tools campaign encounters --model FILE... --own hover 5 10 --altitude geometric pressure "
-        "--range 2000 --seeds 100001-102000 --file results/campaign/encounters.json",
-        ("ground_tools.campaign.encounters.cells",),
-        _crewed,
-    )
+def _encounters() -> list[Entry]:
+    flown = {
+        "encounters": "--range 2000 --seeds 100001-110000",
+        "encounters-range": "--range 3000 5000 --seeds 110001-112000",
+    }
+    return [
+        Entry(
+            f"results/campaign/{name}.json",
+            "ground-tools campaign encounters --model FILE... --own hover 5 10 --altitude geometric pressure "
+            f"{options} --file results/campaign/{name}.json",
+            ("ground_tools.campaign.encounters.cells",),
+            _crewed,
+        )
+        for name, options in flown.items()
+    ]
 
 
 def _unheard() -> Entry:
