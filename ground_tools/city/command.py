@@ -181,9 +181,9 @@ def _check(args: argparse.Namespace) -> None:
         ("--speed", args.speed, 5.0 <= args.speed <= 30.0, "5 to 30"),
         ("--from", args.from_s, math.isfinite(args.from_s), "any finite number"),
         ("--minutes", args.minutes, 10.0 <= length_s <= 86_400.0, "1/6 to 1440"),
-        ("--settle", args.settle, 0.0 <= args.settle < length_s, "0 up to, but not, the run's length"),
+        ("--settle", args.settle, 0.0 <= args.settle < length_s, "at least 0, below the run's length"),
         ("--separation", args.separation, 0.0 < args.separation <= 100.0, "above 0, up to 100"),
-        ("--load", args.load, 0.0 <= args.load < 1.0, "0 up to, but not, 1"),
+        ("--load", args.load, 0.0 <= args.load < 1.0, "at least 0, below 1"),
         ("--loss", args.loss, 0.0 <= args.loss <= 1.0, "0 to 1"),
         ("--reach", args.reach, 0.0 < args.reach < math.inf, "any finite number above 0"),
     ):

@@ -24,7 +24,8 @@ UV_SYSTEM_CERTS=1 SSL_CERT_FILE=${SSL_CERT_FILE:-/etc/ssl/certs/ca-certificates.
 export UV_SYSTEM_CERTS SSL_CERT_FILE
 uv="$WORK/uv/bin/uv --quiet"
 $uv venv --python "$(command -v python3)" "$WORK/dmuca"
-# Of the project file, because of a wheel uv would choose the oldest version of the wheel alone.
+# uv chooses the oldest version only of what it is asked for itself, so it is given the list of the project file and not
+# the wheel.
 $uv pip install --python "$WORK/dmuca" --resolution lowest-direct --requirements "$here/../../pyproject.toml"
 $uv pip install --python "$WORK/dmuca" --no-deps "$wheel"
 "$WORK/uv/bin/uv" pip list --python "$WORK/dmuca" 2>/dev/null
