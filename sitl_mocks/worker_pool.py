@@ -55,12 +55,14 @@ def worker_pool(
 @contextmanager
 def interrupts_held() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM wait until the end of the block: while queues are made and workers start,
-    because an exception in the midst of that would leave one behind, and while a caller stores a result."""
+    because an exception in the midst of that would leave one behind, and while a caller stores a result.
+    A signal that is ignored stays so."""
     if threading.current_thread() is not threading.main_thread():  # only that one is interrupted
         yield
         return
     pressed: list[int] = []
-    before = {number: signal.signal(number, lambda n, _: pressed.append(n)) for number in _INTERRUPTS}
+    heard = [number for number in _INTERRUPTS if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, lambda n, _: pressed.append(n)) for number in heard}
     # A worker inherits the mask, so that nothing interrupts it before it can ignore Ctrl-C.
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

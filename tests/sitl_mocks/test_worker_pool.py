@@ -7,6 +7,7 @@ import os
 import signal
 import struct
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -81,3 +82,32 @@ def test_a_second_ctrl_c_does_not_make_the_pool_wait_for_the_work(
         work()
     assert children() == []
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_ignored_signal_does_not_take_the_place_of_one_that_interrupts() -> None:
+    """A shell without job control lets its background processes ignore Ctrl-C. A thread of a library takes it
+    while the main thread blocks it."""
+    begin = threading.Event()
+
+    def press() -> None:
+        begin.wait()
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+
+    def hold() -> None:
+        with interrupts_held():
+            begin.set()
+            library.join()
+            signal.raise_signal(signal.SIGTERM)
+
+    library = threading.Thread(target=press)
+    library.start()
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            hold()
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
