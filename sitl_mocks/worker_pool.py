@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import multiprocessing
+import platform
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
 from typing import Any, Final
 
 from companion.errors import ConfigError
@@ -30,11 +32,12 @@ def worker_pool(
         initializer: Function that each worker calls first, with `arguments`.
 
     Raises:
-        ConfigError: A worker was killed from outside.
+        ConfigError: A worker was killed from outside, or this version of Python has another pool.
     """
     context = multiprocessing.get_context("spawn")
     with interrupts_held():
         pool = ProcessPoolExecutor(processes, context, _begin, (initializer, arguments))
+        results = _results_of(pool)
     with pool:
         try:
             yield pool
@@ -46,10 +49,26 @@ def worker_pool(
                 for child in multiprocessing.active_children():
                     child.terminate()
                 # The pool would wait for the rest of a result that a worker was sending.
-                pool._result_queue._writer.close()  # type: ignore[attr-defined]
+                results.close()
                 # A thread of the pool that still ended at the interpreter's exit would race with it.
                 pool.shutdown(wait=True, cancel_futures=True)
             raise
+
+
+def _results_of(pool: ProcessPoolExecutor) -> Connection:
+    """The end of the results' pipe into which workers write. There is no public way to close it.
+
+    Raises:
+        ConfigError: This version of Python keeps it elsewhere. A pool that cannot be ended must not begin.
+    """
+    try:
+        writer: Connection = pool._result_queue._writer  # type: ignore[attr-defined]
+    except AttributeError as error:
+        raise ConfigError(
+            f"worker processes cannot be used with Python {platform.python_version()}, because they could "
+            f"not be ended safely (concurrent.futures: {error}); use an earlier version of Python"
+        ) from error
+    return writer
 
 
 @contextmanager

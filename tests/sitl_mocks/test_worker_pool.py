@@ -9,7 +9,9 @@ import struct
 import sys
 import threading
 import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -42,6 +44,29 @@ def test_the_rest_of_a_result_is_not_waited_for(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         work()
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.parametrize("gone", ["_result_queue", "_writer"])
+def test_another_kind_of_pool_is_refused_before_work_begins(
+    monkeypatch: pytest.MonkeyPatch, gone: str
+) -> None:
+    """Without that attribute, a worker that is ended while it sends a result would hang the parent."""
+
+    class Renamed(ProcessPoolExecutor):
+        def __getattribute__(self, name: str) -> Any:
+            if name == "_result_queue":
+                if gone == name:
+                    raise AttributeError(f"no attribute {name!r}")
+                return object()
+            return super().__getattribute__(name)
+
+    monkeypatch.setattr("sitl_mocks.worker_pool.ProcessPoolExecutor", Renamed)
+    with (
+        pytest.raises(ConfigError, match=rf"^worker processes cannot be used with Python 3.*{gone}.*earlier"),
+        worker_pool(1),
+    ):
+        raise AssertionError("work has begun")
     assert multiprocessing.active_children() == []
 
 
