@@ -7,7 +7,9 @@ bit for bit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Final
 
 from companion.adjustable_parameters import applied, differences
 from companion.atmc.chooser import chooser_of
@@ -55,6 +57,7 @@ from companion.events import (
     Severity,
     TwoAutopilots,
     VehicleParameters,
+    VehicleTime,
     VelocitySetpoint,
 )
 from companion.geometry import LocalFrame
@@ -64,6 +67,17 @@ from companion.traffic.adsb import AdsbTraffic
 from companion.traffic.published import Publication, is_published
 from companion.traffic.sensed import SensedTraffic
 from companion.traffic.tracks import Traffic
+
+_OWN_STATE: Final[dict[type[Event], Callable[[Any], float]]] = {
+    GlobalPosition: lambda e: (
+        e.time_boot_s + e.lat_deg + e.lon_deg + e.alt_msl_m + e.height_above_home_m + sum(e.velocity_ned_mps)
+    ),
+    LocalPosition: lambda e: e.time_boot_s + sum(e.position_ned_m) + sum(e.velocity_ned_mps),
+    VehicleTime: lambda e: e.time_boot_s + (e.utc_s or 0.0),
+    ClockRead: lambda e: e.time_boot_s + e.asked_s + e.heard_s,
+}
+"""Sum of all numbers of each event that says where we are and when. It is finite unless one of them is not,
+and takes less time than looking at each."""
 
 
 class Companion:
@@ -141,8 +155,10 @@ class Companion:
             events: events in order of arrival.
 
         Raises:
-            ValueError: `now_s` is before that of the last step.
+            ValueError: `now_s` is before that of the last step, or it or a number in `_OWN_STATE` is NaN or
+                infinite. Nothing was taken in, so the step can be repeated with what is right.
         """
+        _refuse_not_finite(now_s, events)
         gap_s = 0.0 if self._last_step_s is None else now_s - self._last_step_s
         if gap_s < 0.0:
             raise ValueError(f"step at {now_s} s after one at {self._last_step_s} s")
@@ -347,3 +363,22 @@ class Companion:
             commands += self._decider.look(now_s)
         if step.velocity_ned_mps is not None:
             commands.append(VelocitySetpoint(velocity_ned_mps=step.velocity_ned_mps))
+
+
+def _refuse_not_finite(now_s: float, events: Sequence[Event]) -> None:
+    """Refuse numbers that only a caller of the core can give: no reader of messages passes them on.
+
+    Raises:
+        ValueError: names the number that is NaN or infinite.
+    """
+    if not math.isfinite(now_s):
+        raise ValueError(f"now_s is {now_s}, which is no finite number")
+    for event in events:
+        total = _OWN_STATE.get(type(event))
+        if total is None or math.isfinite(total(event)):
+            continue
+        for name in event.__struct_fields__:
+            value = getattr(event, name)
+            numbers = value if isinstance(value, tuple) else (value or 0.0,)
+            if not all(map(math.isfinite, numbers)):
+                raise ValueError(f"{type(event).__name__}.{name} is {value}, which is no finite number")

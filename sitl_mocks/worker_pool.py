@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import multiprocessing
+import platform
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
 from typing import Any, Final
 
 from companion.errors import ConfigError
@@ -30,11 +32,12 @@ def worker_pool(
         initializer: Function that each worker calls first, with `arguments`.
 
     Raises:
-        ConfigError: A worker was killed from outside.
+        ConfigError: A worker was killed from outside, or this version of Python has another pool.
     """
     context = multiprocessing.get_context("spawn")
     with interrupts_held():
         pool = ProcessPoolExecutor(processes, context, _begin, (initializer, arguments))
+        results = _results_of(pool)
     with pool:
         try:
             yield pool
@@ -46,21 +49,39 @@ def worker_pool(
                 for child in multiprocessing.active_children():
                     child.terminate()
                 # The pool would wait for the rest of a result that a worker was sending.
-                pool._result_queue._writer.close()  # type: ignore[attr-defined]
+                results.close()
                 # A thread of the pool that still ended at the interpreter's exit would race with it.
                 pool.shutdown(wait=True, cancel_futures=True)
             raise
 
 
+def _results_of(pool: ProcessPoolExecutor) -> Connection:
+    """The end of the results' pipe into which workers write. There is no public way to close it.
+
+    Raises:
+        ConfigError: This version of Python keeps it elsewhere. A pool that cannot be ended must not begin.
+    """
+    try:
+        writer: Connection = pool._result_queue._writer  # type: ignore[attr-defined]
+    except AttributeError as error:
+        raise ConfigError(
+            f"worker processes cannot be used with Python {platform.python_version()}, because they could "
+            f"not be ended safely (concurrent.futures: {error}); use an earlier version of Python"
+        ) from error
+    return writer
+
+
 @contextmanager
 def interrupts_held() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM wait until the end of the block: while queues are made and workers start,
-    because an exception in the midst of that would leave one behind, and while a caller stores a result."""
+    because an exception in the midst of that would leave one behind, and while a caller stores a result.
+    A signal that is ignored stays so."""
     if threading.current_thread() is not threading.main_thread():  # only that one is interrupted
         yield
         return
     pressed: list[int] = []
-    before = {number: signal.signal(number, lambda n, _: pressed.append(n)) for number in _INTERRUPTS}
+    heard = [number for number in _INTERRUPTS if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, lambda n, _: pressed.append(n)) for number in heard}
     # A worker inherits the mask, so that nothing interrupts it before it can ignore Ctrl-C.
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import atexit
 import errno
 import importlib
+import math
 import os
 import signal
 import sys
+import time
 from collections.abc import Sequence
-from typing import NoReturn
+from types import FrameType
+from typing import Final, NoReturn
 
 from companion import __version__
 from companion.errors import ConfigError, PeerDataError
+
+_INTERRUPTS: Final = (signal.SIGINT, signal.SIGTERM)
+_ONE_WISH_S: Final = 1.0
+"""Signals within this time ask for the same end."""
 
 
 def parser_of(name: str, description: str, examples: str) -> argparse.ArgumentParser:
@@ -88,13 +96,39 @@ def start(module: str) -> int:
     Ctrl-C and SIGTERM end both the import and `main` without a traceback. A parent that simply ended on
     SIGTERM would leave its workers behind. Returns the exit code.
     """
-    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    _interrupt_on_signals()
     try:
         code: int = importlib.import_module(module).main()
     except KeyboardInterrupt:
         return 130
     return code
+
+
+def _interrupt_on_signals() -> None:
+    """Let Ctrl-C and SIGTERM raise KeyboardInterrupt, unless they are ignored.
+
+    A supervisor may send both. The second one must not interrupt the clean-up after the first. A later one
+    does, because the end may take too long.
+    """
+    interrupted_s = -math.inf
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        nonlocal interrupted_s
+        now_s = time.monotonic()
+        if now_s - interrupted_s >= _ONE_WISH_S:
+            interrupted_s = now_s
+            raise KeyboardInterrupt
+
+    for number in _INTERRUPTS:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            signal.signal(number, interrupt)
+    # What is registered first is called last. After it, Python itself would let a signal kill the process.
+    atexit.register(_ignore_signals)
+
+
+def _ignore_signals() -> None:
+    for number in _INTERRUPTS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _open_streams() -> None:

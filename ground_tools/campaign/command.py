@@ -178,6 +178,7 @@ def _add_fences(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--processes", type=int, metavar="N", help="worker processes (default: one per core)"
     )
+    command.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     command.set_defaults(run=run_fences)
 
 
@@ -245,7 +246,7 @@ def run_table(args: argparse.Namespace) -> int:
 
 
 def run_fences(args: argparse.Namespace) -> int:
-    """Run `ground-tools campaign fences`. Prints one JSON object and returns 0.
+    """Run `ground-tools campaign fences`. Returns 0.
 
     Raises:
         ConfigError: an option is wrong.
@@ -259,7 +260,11 @@ def run_fences(args: argparse.Namespace) -> int:
             rows += found
             advance()
     rows.sort(key=attrgetter("seed"))
-    print(json.dumps(fences.summary_outside(rows) if args.outside else fences.summary(rows), indent=1))
+    report = fences.summary_outside(rows) if args.outside else fences.summary(rows)
+    if args.json:
+        print(json.dumps(report, allow_nan=False))
+    else:
+        print(fences.markdown_outside(report) if args.outside else fences.markdown(report), end="")
     return 0
 
 

@@ -216,3 +216,38 @@ def summary_outside(rows: Sequence[Row]) -> dict[str, Any]:
         "not_back": len(rows) - len(back),
         "worst_seed": max(rows, key=lambda row: row.further_m).seed,
     }
+
+
+def markdown(found: dict[str, Any]) -> str:
+    """The result of `summary` as a table."""
+    lines = [
+        "| neighbours | flights | crossed though it could stop | worst, m | crossed but for a swerve "
+        "| worst, m | crossed unavoidably | worst seed |",
+        "|" + 8 * "---|",
+    ]
+    for others in OTHERS:
+        one = found[others]
+        lines.append(
+            f"| {others} | {one['runs']:,} | {one['crossed_though_it_could_stop']:,} "
+            f"| {one['worst_though_it_could_stop_m']:.2f} | {one['crossed_but_for_a_swerve']:,} "
+            f"| {one['worst_but_for_a_swerve_m']:.2f} | {one['crossed_unavoidably']:,} "
+            f"| {_or_dash(one['worst_seed'])} |"
+        )
+    return "\n".join([*lines, ""])
+
+
+def markdown_outside(found: dict[str, Any]) -> str:
+    """The result of `summary_outside` as a table."""
+    back_s = None if found["median_back_s"] is None else f"{found['median_back_s']:.1f}"
+    return (
+        "| flights | farther out: median, m | 99 %, m | most, m | back inside after (median), s | not back "
+        "| worst seed |\n"
+        f"|{7 * '---|'}\n"
+        f"| {found['runs']:,} | {found['median_further_m']:.2f} | {found['further_at_99_percent_m']:.2f} "
+        f"| {found['max_further_m']:.2f} | {_or_dash(back_s)} | {found['not_back']:,} "
+        f"| {found['worst_seed']} |\n"
+    )
+
+
+def _or_dash(value: object) -> str:
+    return "-" if value is None else str(value)

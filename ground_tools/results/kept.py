@@ -171,19 +171,21 @@ def _compared() -> list[Entry]:
 
 
 def _encounters() -> list[Entry]:
+    powered = tuple(f"uncor_1200only_{kind}_v1p2.txt" for kind in ("rotorcraft", "fwse", "fwme"))
+    every = (*powered, "glider_v1.txt", "paraglider_v1.txt")
     flown = {
-        "encounters": "--range 2000 --seeds 100001-110000",
-        "encounters-range": "--range 3000 5000 --seeds 110001-112000",
+        "encounters": (every, "--range 2000 --seeds 100001-110000"),
+        "encounters-range": (powered, "--range 3000 5000 --seeds 110001-112000"),
     }
     return [
         Entry(
             f"results/campaign/{name}.json",
-            "ground-tools campaign encounters --model FILE... --own hover 5 10 --altitude geometric pressure "
-            f"{options} --file results/campaign/{name}.json",
+            f"ground-tools campaign encounters --model {' '.join(models)} --own hover 5 10 "
+            f"--altitude geometric pressure {options} --file results/campaign/{name}.json",
             ("ground_tools.campaign.encounters.cells",),
             _crewed,
         )
-        for name, options in flown.items()
+        for name, (models, options) in flown.items()
     ]
 
 

@@ -7,8 +7,11 @@ import os
 import signal
 import struct
 import sys
+import threading
 import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -41,6 +44,29 @@ def test_the_rest_of_a_result_is_not_waited_for(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         work()
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.parametrize("gone", ["_result_queue", "_writer"])
+def test_another_kind_of_pool_is_refused_before_work_begins(
+    monkeypatch: pytest.MonkeyPatch, gone: str
+) -> None:
+    """Without that attribute, a worker that is ended while it sends a result would hang the parent."""
+
+    class Renamed(ProcessPoolExecutor):
+        def __getattribute__(self, name: str) -> Any:
+            if name == "_result_queue":
+                if gone == name:
+                    raise AttributeError(f"no attribute {name!r}")
+                return object()
+            return super().__getattribute__(name)
+
+    monkeypatch.setattr("sitl_mocks.worker_pool.ProcessPoolExecutor", Renamed)
+    with (
+        pytest.raises(ConfigError, match=rf"^worker processes cannot be used with Python 3.*{gone}.*earlier"),
+        worker_pool(1),
+    ):
+        raise AssertionError("work has begun")
     assert multiprocessing.active_children() == []
 
 
@@ -81,3 +107,32 @@ def test_a_second_ctrl_c_does_not_make_the_pool_wait_for_the_work(
         work()
     assert children() == []
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_ignored_signal_does_not_take_the_place_of_one_that_interrupts() -> None:
+    """A shell without job control lets its background processes ignore Ctrl-C. A thread of a library takes it
+    while the main thread blocks it."""
+    begin = threading.Event()
+
+    def press() -> None:
+        begin.wait()
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+
+    def hold() -> None:
+        with interrupts_held():
+            begin.set()
+            library.join()
+            signal.raise_signal(signal.SIGTERM)
+
+    library = threading.Thread(target=press)
+    library.start()
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            hold()
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

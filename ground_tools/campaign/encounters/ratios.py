@@ -1,10 +1,10 @@
 """Risk ratios with intervals: how often an event happens with avoidance, relative to without.
 
 Each encounter counts with its importance weight, with and without avoidance. The interval of a weighted share
-is Wilson's, for the effective number of encounters `sum(w)^2 / sum(w^2)` (Kish). That of the ratio follows
-from both shares' intervals and their correlation, because the same encounters are flown with and without
-avoidance: the method of variance estimates recovery (A. Donner, G. Y. Zou: Closed-form confidence intervals
-for functions of the normal mean and standard deviation, 2012).
+is Wilson's, for the effective number of encounters, or for fewer where the event happens in encounters of
+great weight. The interval of the ratio follows from both shares' intervals and their correlation, because the
+same encounters are flown with and without avoidance: the method of variance estimates recovery (A. Donner,
+G. Y. Zou: Closed-form confidence intervals for functions of the normal mean and standard deviation, 2012).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ground_tools.common.intervals import Z
 
 
 def effective(weights: Floats) -> float:
-    """Effective number of encounters with these weights."""
+    """Effective number of encounters with these weights: `sum(w)^2 / sum(w^2)` (Kish)."""
     return float(weights.sum() ** 2 / (weights**2).sum())
 
 
@@ -31,14 +31,24 @@ def interval(avoided: Bools, unavoided: Bools, weights: Floats) -> tuple[float, 
     """95 % interval of `ratio`; None where there is no ratio."""
     if not unavoided.any():
         return None
-    total, n = float(weights.sum()), effective(weights)
-    p, q = float(weights[avoided].sum()) / total, float(weights[unavoided].sum()) / total
-    both = float(weights[avoided & unavoided].sum()) / total
+    (p, p_count), (q, q_count) = _share(avoided, weights), _share(unavoided, weights)
+    both, _ = _share(avoided & unavoided, weights)
     spread = math.sqrt(max(p * (1.0 - p) * q * (1.0 - q), 0.0))
     r = min(max((both - p * q) / spread, -1.0), 1.0) if spread > 0.0 else 0.0
-    (p_low, p_high), (q_low, q_high) = wilson(p, n), wilson(q, n)
+    (p_low, p_high), (q_low, q_high) = wilson(p, p_count), wilson(q, q_count)
     low = _bound(p, q, r, p_low, q_high, -1.0)
     return low, _bound(p, q, r, p_high, q_low, 1.0)
+
+
+def _share(happened: Bools, weights: Floats) -> tuple[float, float]:
+    """Weighted share of encounters in which an event happened, and the number of equal encounters of which
+    this share would have its variance (linearised). That is at most the effective number, because the weights
+    of few events may be small by chance.
+    """
+    total, count = float(weights.sum()), effective(weights)
+    share = float(weights[happened].sum()) / total
+    variance = float(((weights * (happened - share)) ** 2).sum()) / total**2
+    return share, min(count, share * (1.0 - share) / variance) if variance > 0.0 else count
 
 
 def _bound(p: float, q: float, r: float, p_end: float, q_end: float, sign: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
@@ -13,11 +14,13 @@ import numpy as np
 
 from ground_tools.campaign.sensed import flight
 from ground_tools.campaign.sensed.flight import HIT_M, SEPARATION_M, Row
-from ground_tools.campaign.sensed.scene import Cell
+from ground_tools.campaign.sensed.scene import KINDS, Cell
 from ground_tools.common import sources, table_file
 from ground_tools.common.intervals import wilson
 from ground_tools.common.kept_lines import Kept
 
+_WHOLE: Final = tuple(Cell(kind=kind) for kind in KINDS)
+"""Cells of the kept table: those of the command without options."""
 _HEAD: Final = (
     "| in the way | sensor, m | flights | unavoided: lost / hit | lost | hit | least, m | 1 % / median, m "
     "| deviation, m | seen before, s |"
@@ -45,14 +48,17 @@ class Table(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def sample(path: Path) -> list[str]:
-    """Fly the first seed of every line of a stored table again. Returns the differences, as text.
+    """Fly the first seed of every line of the kept table again. Returns the differences, as text.
 
     Raises:
         ConfigError: the file cannot be read.
     """
     table = table_file.read(path, Table)
-    if not table.lines:
-        return ["the file holds no line"]
+    for number, (cell, line) in enumerate(itertools.zip_longest(_WHOLE, table.lines), 1):
+        if cell is None or line is None or cell != line.cell:
+            there = "missing" if line is None else line.cell
+            expected = "the end of the table" if cell is None else cell
+            return [f"{path}: line {number} of the table is {there}; expected: {expected}"]
     flights = 1 + table.seeds[1] - table.seeds[0]
     found = []
     for one in table.lines:

@@ -166,7 +166,8 @@ def city_of(args: argparse.Namespace, density: float, load: float) -> City:
     settled = 0.0 <= args.settle < 60.0 * args.minutes
     if not (0.0 < density <= 200.0 and 2 <= args.aircraft <= 20_000 and settled):
         raise ConfigError(
-            "--densities: above 0, up to 200; --aircraft: 2 to 20000; --settle: 0 up to, but not, --minutes"
+            "--densities: above 0, up to 200; --aircraft: 2 to 20000; --settle: at least 0, below "
+            "the run's length"
         )
     side_m = 1000.0 * math.sqrt(args.aircraft / density)
     if not 1000.0 <= side_m <= 20_000.0:

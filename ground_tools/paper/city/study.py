@@ -75,13 +75,15 @@ def grid_of(args: argparse.Namespace, density_option: str, load_option: str, **c
             raise ConfigError(f"{density_option}: {density:g} is out of range; allowed: above 0, up to 200")
     for load in grid.loads:
         if not 0.0 <= load < 1.0:
-            raise ConfigError(f"{load_option}: {load:g} is out of range; allowed: 0 up to, but not, 1")
+            raise ConfigError(f"{load_option}: {load:g} is out of range; allowed: at least 0, below 1")
     if not 2 <= grid.aircraft <= _MOST_AIRCRAFT:
         raise ConfigError(f"--aircraft: {grid.aircraft} is out of range; allowed: 2 to {_MOST_AIRCRAFT:,}")
     if not 10.0 <= grid.duration_s <= 86_400.0:
         raise ConfigError(f"--minutes: {args.minutes:g} is out of range; allowed: 1/6 to 1440")
     if not 0.0 <= grid.settle_s < grid.duration_s:
-        raise ConfigError(f"--settle: {grid.settle_s:g}; allowed: 0 up to, but not, the length of a run")
+        raise ConfigError(
+            f"--settle: {grid.settle_s:g} is out of range; allowed: at least 0, below the run's length"
+        )
     try:
         for cell in grid.cells():
             msgspec.convert(msgspec.to_builtins(grid.city(cell)), City)

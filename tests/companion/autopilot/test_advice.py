@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import msgspec
@@ -10,6 +11,7 @@ import pytest
 from companion.autopilot.advice import after_silence, no_receiver, remarks, restarting, too_fast
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.events import Firmware, MissionItem, Parameter, VehicleParameters
+from companion.shipped import shipped
 
 
 def told(firmware: Firmware = Firmware.ARDUPILOT, **values: tuple[str, float]) -> VehicleParameters:
@@ -112,9 +114,18 @@ def test_a_mission_that_is_faster_than_the_limit(
         (
             adsb(2000),
             {},
-            "ADSB_LIST_RADIUS 2000: the autopilot reports no aircraft beyond 2000 m; at 80 m/s that is 25 s",
+            "ADSB_LIST_RADIUS 2000: the autopilot reports no aircraft beyond 2000 m, too late to keep well "
+            "clear of many. In simulations 2000 m left up to 35 % of the losses of well clear, 3000 m up to "
+            "23 %: set 3000 m or more (alerts look 90 s ahead, at 80 m/s 7200 m)",
         ),
-        (adsb(2000), {}, "but the look-ahead is 90 s: set 7200 m or more"),
+        (adsb(2999), {}, "beyond 2999 m, too late"),
+        (
+            adsb(3000),
+            {},
+            "ADSB_LIST_RADIUS 3000: the autopilot reports no aircraft beyond 3000 m. In simulations more "
+            "than 3000 m hardly kept well clear more often, but alerts look 90 s ahead, at 80 m/s 7200 m: "
+            "set 7200 m or more for all of them",
+        ),
         (adsb(2000), {"use": "watch"}, "ADSB_LIST_RADIUS 2000"),
         (adsb(7199), {}, "ADSB_LIST_RADIUS 7199"),
         (adsb(7200), {}, None),
@@ -135,7 +146,21 @@ def test_remarks(make_config, vehicle: VehicleParameters, over: dict[str, Any], 
 def test_a_longer_look_ahead_asks_for_a_wider_radius(make_config) -> None:
     config = msgspec.structs.replace(make_config(), avoidance=AvoidanceConfig(horizon_s=100.0))
     (text,) = remarks(config, adsb(7200))
-    assert text.endswith("the look-ahead is 100 s: set 8000 m or more")
+    assert text.endswith("alerts look 100 s ahead, at 80 m/s 8000 m: set 8000 m or more for all of them")
+
+
+def test_the_cost_of_a_smaller_radius_is_the_measured_one(make_config) -> None:
+    """The largest ratio of losses of well clear of powered aircraft, of which the text has whole percent."""
+    worst: dict[float, float] = {}
+    for name in ("encounters", "encounters-range"):
+        for line in json.loads(shipped(f"results/campaign/{name}.json").read_bytes())["lines"]:
+            if line["cell"]["model"].startswith("uncor"):
+                range_m = line["cell"]["range_m"]
+                worst[range_m] = max(worst.get(range_m, 0.0), line["found"]["lowc_ratio"])
+    (text,) = remarks(make_config(), adsb(2000))
+    assert f"2000 m left up to {worst[2000.0]:.0%} of".replace("%", " %") in text
+    assert f"3000 m up to {worst[3000.0]:.0%}:".replace("%", " %") in text
+    assert worst[3000.0] - worst[5000.0] < 0.02
 
 
 def test_what_follows_silence() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tomllib
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from companion.commands import cli as companion_cli
+from companion.commands import entry_point
 from companion.commands.entry_point import start
 from ground_tools import cli as ground_cli
 from sitl_mocks import cli as mocks_cli
@@ -81,6 +83,38 @@ def test_ctrl_c_while_modules_are_imported_ends_quietly(tmp_path, monkeypatch):
     (tmp_path / "slow_to_import.py").write_text("raise KeyboardInterrupt")
     monkeypatch.syspath_prepend(tmp_path)
     assert start("slow_to_import") == 130
+
+
+@pytest.mark.usefixtures("kept_signals")
+@pytest.mark.parametrize("again", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("soon", [True, False])
+def test_a_second_signal_soon_after_the_first_does_not_disturb_the_end(tmp_path, monkeypatch, again, soon):
+    (tmp_path / "ended_twice.py").write_text(
+        "import signal\nfrom pathlib import Path\n"
+        "try:\n    signal.raise_signal(signal.SIGINT)\n"
+        f"finally:\n    signal.raise_signal(signal.{again})\n    Path(__file__).with_name('tidy').touch()\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    if not soon:
+        monkeypatch.setattr(entry_point, "_ONE_WISH_S", 0.0)
+    monkeypatch.delitem(sys.modules, "ended_twice", raising=False)
+    assert start("ended_twice") == 130
+    assert (tmp_path / "tidy").exists() == soon
+
+
+def test_a_signal_at_the_very_end_leaves_the_exit_code(tmp_path):
+    """Python restores its handlers before it takes the modules apart."""
+    (tmp_path / "late.py").write_text(
+        "import os, signal\n"
+        "class Late:\n    def __del__(self, kill=os.kill, pid=os.getpid(), number=signal.SIGINT):\n"
+        "        kill(pid, number)\n"
+        "late = Late()\n"
+        "def main():\n    return 130\n"
+    )
+    program = "import sys\nfrom companion.commands.entry_point import start\nsys.exit(start('late'))"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, timeout=60, check=False)
+    assert done.returncode == 130
 
 
 @pytest.mark.usefixtures("kept_signals")

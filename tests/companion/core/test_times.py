@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
+import msgspec
 import pytest
 
 from companion.authority.table import HOLDING, State
-from companion.events import FlightMode, ModeRefused
+from companion.events import ClockRead, FlightMode, GlobalPosition, LocalPosition, ModeRefused, VehicleTime
 
 
 @pytest.mark.parametrize(
@@ -54,3 +57,54 @@ def test_a_refused_mode_is_a_fault_of_eight_seconds(make_bench):
     bench.extra.append(ModeRefused(mode=FlightMode.EXTERNAL, reason="no answer"))
     bench.step()
     assert lasted_s(bench) == pytest.approx(8.0, abs=0.06)
+
+
+OWN_STATE = (
+    GlobalPosition(
+        time_boot_s=100.0,
+        lat_deg=47.0,
+        lon_deg=8.0,
+        alt_msl_m=450.0,
+        height_above_home_m=50.0,
+        velocity_ned_mps=(0.0, 0.0, 0.0),
+    ),
+    LocalPosition(time_boot_s=100.0, position_ned_m=(0.0, 0.0, -50.0), velocity_ned_mps=(0.0, 0.0, 0.0)),
+    VehicleTime(time_boot_s=100.0, utc_s=1_767_225_600.0),
+    ClockRead(time_boot_s=100.0, asked_s=0.9, heard_s=1.0),
+)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(("event", "name"), [(e, name) for e in OWN_STATE for name in e.__struct_fields__])
+def test_an_own_state_that_is_no_number_is_refused_by_its_name(make_bench, event, name, bad):
+    good = getattr(event, name)
+    value = (0.0, bad, 0.0) if isinstance(good, tuple) else bad
+    core = make_bench().core
+    with pytest.raises(
+        ValueError, match=rf"^{type(event).__name__}\.{name} is .*, which is no finite number$"
+    ):
+        core.step(1.0, [ModeRefused(mode=FlightMode.HOLD, reason=""), _with(event, name, value)])
+    core.step(0.5, [])  # The refused step is not the last one.
+
+
+def _with(event, name, value):
+    return msgspec.structs.replace(event, **{name: value})
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_time_that_is_no_number_is_refused(flying, bad):
+    with pytest.raises(ValueError, match=r"^now_s is -?(nan|inf), which is no finite number$"):
+        flying.core.step(bad, [])
+
+
+def test_a_refused_step_takes_nothing_in(make_bench):
+    benches = [make_bench(), make_bench()]
+    for bench in benches:
+        bench.until(lambda bench=bench: bool(bench.setpoints()))
+    refused, twin = benches
+    for _ in range(20):
+        events = refused.events()
+        broken = [_with(e, "lat_deg", math.nan) if isinstance(e, GlobalPosition) else e for e in events]
+        with pytest.raises(ValueError, match=r"GlobalPosition\.lat_deg is nan"):
+            refused.core.step(refused.now_s, broken)
+        assert refused.step() == twin.step()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -15,7 +16,7 @@ import pytest
 from companion.errors import ConfigError
 from ground_tools import cli
 from ground_tools.campaign import cells as campaign
-from ground_tools.campaign import tables
+from ground_tools.campaign import fences, tables
 from ground_tools.campaign.cells import Cell, Row, fly
 from ground_tools.campaign.generators import NAMES
 from ground_tools.campaign.runs import summary
@@ -185,6 +186,46 @@ def test_ctrl_c_keeps_what_was_flown(tmp_path):
     assert "Interrupted" in words
     (path,) = tmp_path.glob("S2-5-dmuca-*.jsonl")
     assert len(path.read_text().splitlines()) > 1
+
+
+# ---------------------------------------------------------------- fences
+
+
+def test_attacks_on_fences_are_shown_as_a_table_and_as_json(capsys):
+    words = ["campaign", "fences", "--seeds", "1-4", "--processes", "1"]
+    for options in ([], ["--outside"]):
+        assert cli.main([*words, *options, "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert cli.main([*words, *options]) == 0
+        printed = capsys.readouterr().out
+        assert found["runs"] == 4
+        assert printed == (fences.markdown_outside(found) if options else fences.markdown(found))
+
+
+def test_crossed_fences_by_hand():
+    crossing = fences.Row(
+        seed=7,
+        others="ghosts",
+        shape="in circle",
+        crossed_m=2.25,
+        error_m=0.25,
+        further_m=2.25,
+        back_s=3.14,
+        could_stop=True,
+        avoidable=True,
+    )
+    swerve = msgspec.structs.replace(crossing, seed=8, crossed_m=4.25, could_stop=False)
+    lost = msgspec.structs.replace(crossing, seed=9, others="none", could_stop=False, avoidable=False)
+    rows = [crossing, swerve, lost, msgspec.structs.replace(lost, seed=10, crossed_m=0.0)]
+    printed = fences.markdown(fences.summary(rows)).splitlines()
+    assert printed[2] == "| none | 2 | 0 | 0.00 | 0 | 0.00 | 1 | - |"
+    assert printed[3] == "| honest | 0 | 0 | 0.00 | 0 | 0.00 | 0 | - |"
+    assert printed[5] == "| ghosts | 2 | 1 | 2.00 | 1 | 4.00 | 0 | 8 |"
+    never = msgspec.structs.replace(crossing, seed=11, further_m=4.0, back_s=math.inf)
+    printed = fences.markdown_outside(fences.summary_outside([crossing, never])).splitlines()
+    assert printed[2] == "| 2 | 3.12 | 3.98 | 4.00 | 3.1 | 1 | 11 |"
+    printed = fences.markdown_outside(fences.summary_outside([never])).splitlines()
+    assert printed[2] == "| 1 | 4.00 | 4.00 | 4.00 | - | 1 | 11 |"
 
 
 # ---------------------------------------------------------------- tables

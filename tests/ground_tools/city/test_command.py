@@ -13,8 +13,8 @@ import pytest
 
 from companion.errors import ConfigError
 from ground_tools.city import cells
-from ground_tools.city.cells import City
-from ground_tools.city.command import add_arguments, city_of, kept
+from ground_tools.city.cells import City, Row
+from ground_tools.city.command import add_arguments, city_of, kept, summary
 from ground_tools.city.measure import T_BEGUN, T_ENDED
 from ground_tools.city.traffic.demand import Demand
 from ground_tools.cli import main
@@ -37,6 +37,13 @@ def test_two_runs_of_one_seed_agree_bit_for_bit(transports: str) -> None:
     assert first.age_s is not None
     assert first.age_s > 0.3
     assert first.wifi > 0.0
+
+
+@pytest.mark.parametrize(("hours", "rate"), [((0.5, 0.25), 8.0), ((0.0, 0.0), None)])
+def test_rates_an_hour_are_of_all_runs_together(hours: tuple[float, ...], rate: float | None) -> None:
+    zero = dict.fromkeys(Row.__struct_fields__, 0)
+    rows = [Row(**zero | {"flight_h": part, "losses": 3}) for part in hours]
+    assert summary(rows)["losses_per_flight_h"] == rate
 
 
 def test_every_flight_is_accounted_for() -> None:

@@ -56,6 +56,7 @@ def test_runs_are_kept_and_shown_beside_the_fixed_set(tmp_path, capsys):
     [
         (["--methods", "0-0-10"], "--methods: 0-0-10 is unknown"),
         (["--densities", "0"], "--densities: above 0"),
+        (["--settle", "1e9"], "--settle: at least 0, below the run's length"),
         (["--minutes", "0.1", "--settle", "0"], "--minutes: 0.1 is out of range; allowed: 1/6 to 1440"),
         (
             ["--aircraft", "2", "--densities", "30"],

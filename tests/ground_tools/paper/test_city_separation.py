@@ -90,7 +90,7 @@ def command(*words):
     [
         (["--separations", "0"], "--separations: 0 is out of range; allowed: above 0, up to 100"),
         (["--density", "300"], "--density: 300 is out of range; allowed: above 0, up to 200"),
-        (["--load", "1"], "--load: 1 is out of range; allowed: 0 up to, but not, 1"),
+        (["--load", "1"], "--load: 1 is out of range; allowed: at least 0, below 1"),
         (["--share", "1"], "--share: 1 is out of range; allowed: between 0 and 1"),
         (["--seeds", "3-1"], "--seeds: 3-1 is not allowed"),
     ],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import itertools
 from dataclasses import replace
 
 import msgspec
@@ -11,6 +13,8 @@ from companion.errors import ConfigError
 from companion.shipped import shipped
 from ground_tools import cli
 from ground_tools.campaign import tables
+from ground_tools.campaign.encounters import command as encounters
+from ground_tools.campaign.encounters import table
 from ground_tools.common import provenance, table_file
 from ground_tools.common.kept_lines import read_lines
 from ground_tools.paper.closed_loop.flights import Row
@@ -201,6 +205,19 @@ def test_the_command_of_a_table_flies_the_seeds_that_the_file_holds():
         (entry,) = [e for e in kept.entries() if e.name == f"results/campaign/{name}.json"]
         first, last = table_file.read(entry.path, tables.Kept).seeds
         assert f" --seeds {first}-{last} " in entry.command
+
+
+@pytest.mark.parametrize("name", ["encounters", "encounters-range"])
+def test_the_command_of_crewed_encounters_names_what_the_file_holds(name):
+    (entry,) = (entry for entry in kept.entries() if entry.path.stem == name)
+    parser = argparse.ArgumentParser()
+    encounters.add_arguments(parser)
+    args = parser.parse_args(entry.command.split()[3:])
+    combinations = itertools.product(args.range, args.altitude, args.own, (path.stem for path in args.model))
+    file = table_file.read(entry.path, table.Kept)
+    of_file = [(x.cell.range_m, x.cell.altitude, x.cell.own, x.cell.model) for x in file.lines]
+    assert list(combinations) == of_file
+    assert args.seeds == "{}-{}".format(*file.seeds)
 
 
 # ---------------------------------------------------------------- samples

@@ -126,3 +126,17 @@ def test_intervals_hold_the_true_ratio_as_often_as_they_say(share, induced, weig
         low, high = ratios.interval(avoided, unavoided, weights)
         held += low <= true <= high
     assert 925 <= held <= 985
+
+
+def test_intervals_are_wider_where_the_event_happens_in_encounters_of_great_weight():
+    """Fast aircraft count three times, and most that come near are fast."""
+    rng = np.random.default_rng(11)
+    near = {False: 0.01, True: 0.2}
+    true = (3 * 0.3 * near[True] + 0.7 * near[False]) / (3 * 0.3 + 0.7)
+    held = 0
+    for _ in range(1000):
+        fast, unavoided = rng.random(1000) < 0.3, rng.random(1000) < 0.15
+        avoided = unavoided & (rng.random(1000) < np.where(fast, near[True], near[False]))
+        low, high = ratios.interval(avoided, unavoided, np.where(fast, 3.0, 1.0))
+        held += low <= true <= high
+    assert 935 <= held <= 965

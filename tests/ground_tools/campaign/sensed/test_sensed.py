@@ -102,16 +102,36 @@ def test_the_page_shows_the_kept_flights():
         assert line in page
 
 
-def test_a_sample_of_a_kept_table_names_what_differs(tmp_path):
-    file = tmp_path / "sensed.json"
-    words = ["campaign", "sensed", "--kind", "pole", "--seeds", "1-2", "--processes", "1"]
-    assert main([*words, "--file", str(file)]) == 0
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A table with all lines of the kept one, and its file."""
+    file = tmp_path_factory.mktemp("kept") / "sensed.json"
+    assert main(["campaign", "sensed", "--seeds", "1-2", "--processes", "1", "--file", str(file)]) == 0
+    return file, table_file.read(file, cells.Table)
+
+
+def test_a_sample_of_a_kept_table_names_what_differs(whole):
+    file, table = whole
+    table_file.write(file, table)
     assert cells.sample(file) == []
-    (line,) = table_file.read(file, cells.Table).lines
+    line, *others = table.lines
     other = replace(line, first=replace(line.first, separation_m=9.0))
-    table_file.write(file, cells.Table(software="", seeds=(1, 2), lines=(other,)))
+    table_file.write(file, replace(table, lines=(other, *others)))
     assert cells.sample(file) == [
         f"pole at 40 m, seed 1: least separation 9 m, now {line.first.separation_m:g} m"
     ]
-    table_file.write(file, cells.Table(software="", seeds=(1, 3), lines=(line,)))
+    table_file.write(file, replace(table, seeds=(1, 3)))
     assert cells.sample(file) == ["pole at 40 m: 2 flights; seeds (1, 3) are 3"]
+
+
+def test_a_kept_table_that_lacks_lines_is_not_the_whole(whole):
+    file, table = whole
+    pole, wall, five, ten = table.lines
+    for lines, number, there, expected in (
+        ((), 1, "missing", pole.cell),
+        ((pole, wall, five), 4, "missing", ten.cell),
+        ((pole, five, ten), 2, five.cell, wall.cell),
+        ((pole, wall, five, ten, ten), 5, ten.cell, "the end of the table"),
+    ):
+        table_file.write(file, replace(table, lines=lines))
+        assert cells.sample(file) == [f"{file}: line {number} of the table is {there}; expected: {expected}"]
