@@ -34,7 +34,7 @@ from companion.events import (
     VelocitySetpoint,
 )
 from companion.flight_logs.dataflash import DataFlashReader, Fields
-from companion.flight_logs.logged import About, LogCounts, TimeOrder, on_earth
+from companion.flight_logs.logged import About, LogCounts, TimeOrder, is_utc, on_earth
 from companion.geometry import Vec3
 
 KIND = "ArduPilot DataFlash log"
@@ -243,9 +243,8 @@ class _Vehicle:
                     satellites=int(fields["NSats"]),
                 )
             )
-        week = int(fields["GWk"])
-        if week > 0 and status >= mavlink.GPS_FIX_TYPE_3D_FIX:
-            utc_s = _GPS_EPOCH_S + week * _WEEK_S + int(fields["GMS"]) / 1e3 - _LEAP_S
+        utc_s = _GPS_EPOCH_S + int(fields["GWk"]) * _WEEK_S + int(fields["GMS"]) / 1e3 - _LEAP_S
+        if status >= mavlink.GPS_FIX_TYPE_3D_FIX and is_utc(utc_s):
             found.append(VehicleTime(time_boot_s=time_s, utc_s=utc_s))
         if status >= mavlink.GPS_FIX_TYPE_3D_FIX:
             course, speed = math.radians(float(fields["GCrs"])), float(fields["Spd"])

@@ -32,7 +32,7 @@ from companion.events import (
     VehicleTime,
     VelocitySetpoint,
 )
-from companion.flight_logs.logged import About, LogCounts, TimeOrder, on_earth
+from companion.flight_logs.logged import About, LogCounts, TimeOrder, is_utc, on_earth
 from companion.flight_logs.ulog import Fields, Logged, UlogReader
 from companion.geometry import LocalFrame, Vec3
 
@@ -68,8 +68,6 @@ _NEW_MODES = {6: (3, 2), 8: (11, 0)}
 """Modes of the states that had another meaning before release 1.14."""
 _ALL_SPEEDS = ("vx", "vy", "vz")
 _FLAG_COORDS, _FLAG_ALTITUDE, _FLAG_HEADING, _FLAG_VELOCITY, _FLAG_CALLSIGN = 1, 2, 4, 8, 16
-_EARLIEST_UTC_S = 946_684_800.0
-"""The year 2000. With an earlier time, the receiver does not know UTC."""
 _VELOCITY_AGE_S = 1.0
 _GEOMETRIC = 1
 _GOOD_TO_ARM = mavlink.MAV_ODID_ARM_STATUS_GOOD_TO_ARM
@@ -248,7 +246,7 @@ class _Vehicle:
                 )
             )
         utc_s = _number(fields, "time_utc_usec") / 1e6
-        if utc_s > _EARLIEST_UTC_S:
+        if is_utc(utc_s):
             # The time that UTC belongs to may be a little before the time of the message.
             utc_s -= float(_number(fields, "timestamp_time_relative")) / 1e6
             found.append(VehicleTime(time_boot_s=time_s, utc_s=utc_s))

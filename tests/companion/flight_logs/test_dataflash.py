@@ -126,6 +126,15 @@ def test_traffic_gnss_wind_and_time(copter: bytes):
     assert 0.9 * logs.SECONDS <= len(rows) <= logs.SECONDS
 
 
+@pytest.mark.parametrize("utc_s", [logs.UTC_S - 1024 * 604_800, logs.GPS_EPOCH_S, 3.8e10])
+def test_a_receiver_that_counts_weeks_from_a_rollover_does_not_know_utc(tmp_path: Path, monkeypatch, utc_s):
+    """With a date in the year 3175, exports failed; with one 1024 weeks early, the flight was misplaced."""
+    monkeypatch.setattr(logs, "UTC_S", utc_s)
+    found, _ = read(logs.copter(tmp_path / "copter.bin").read_bytes())
+    assert of(VehicleTime, found) == []
+    assert len(of(GnssFix, found)) == 5 * logs.SECONDS
+
+
 def test_without_an_estimator_the_receivers_positions_count(tmp_path: Path):
     found, about = read(logs.old_plane(tmp_path / "plane.bin").read_bytes())
     places = of(GlobalPosition, found)

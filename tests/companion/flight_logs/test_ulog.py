@@ -97,6 +97,14 @@ def test_traffic_gnss_wind_texts_and_time(copter: bytes):
     assert about.damage("x.ulg") == ("x.ulg: the autopilot could not write once, for 0.06 s in all",)
 
 
+@pytest.mark.parametrize("utc_s", [0.0, 1e9, 2.5e12, 1.8e13])
+def test_a_receiver_with_an_impossible_date_does_not_know_utc(tmp_path: Path, monkeypatch, utc_s):
+    monkeypatch.setattr(logs, "UTC_S", utc_s)
+    found, _ = read(logs.px4(tmp_path / "x.ulg").read_bytes())
+    assert of(VehicleTime, found) == []
+    assert len(of(GnssFix, found)) == 5 * logs.SECONDS
+
+
 def test_positions_relative_to_an_origin_appended_data_and_damage(tmp_path: Path):
     found, about = read(logs.old_px4(tmp_path / "x.ulg").read_bytes())
     places = of(GlobalPosition, found)
