@@ -8,6 +8,7 @@ Landing ends the plan.
 
 from __future__ import annotations
 
+import itertools
 import math
 
 from companion.authority.course import Course
@@ -16,14 +17,18 @@ from companion.authority.terms import Terms
 from companion.autopilot.lists.mission import path_from_mission
 from companion.avoidance.law import new_law
 from companion.avoidance.path import local_path
-from companion.avoidance.trajectory import Trajectory, check_speeds
+from companion.avoidance.trajectory import check_speeds
 from companion.avoidance.walls import walls_of
-from companion.config import Config, TrajectoryFile
+from companion.config import Config, TrajectoryFile, Waypoint
 from companion.errors import ConfigError
 from companion.events import Command, FlightMode, MissionDownloaded, MissionItem
+from companion.geometry import between
 from companion.ownship import Ownship
 
 _CHANGED = "the mission was changed while the pilot flew; select AUTO or MISSION to fly it, or land first"
+
+_LONGEST_LEG_M = 5_000.0
+"""Longest leg that is flown straight in the local frame; longer ones are divided."""
 
 
 class FlownPlan:
@@ -88,10 +93,10 @@ class FlownPlan:
                 start=start,
                 home_alt_msl_m=home,
             )
-            whole = local_path(path, own.frame, home)
-            if len(whole.times_s) > 2:
+            if len(path.waypoint) > 2:
                 # Leave out the first leg: it begins where the vehicle is taken, which is not known yet.
-                flown = Trajectory(whole.times_s[1:], whole.points_ned_m[1:])
+                rest = TrajectoryFile(altitude=path.altitude, waypoint=path.waypoint[1:])
+                flown = local_path(_level(rest), own.frame, home)
                 check_speeds(flown, self.terms.config.limits, vehicle=self.terms.vehicle)
                 walls_of(self.downloads.areas(), own.frame, flown, own.sigma_m)
         except ConfigError as error:
@@ -163,6 +168,7 @@ class FlownPlan:
             return self.terms.refuse(
                 "its altitudes are geodetic, but the GNSS reports no height above the ellipsoid"
             )
+        path = _level(path)
         trajectory = local_path(path, own.frame, above_msl)
         check_speeds(trajectory, limits, vehicle=self.terms.vehicle)
         start_s = None
@@ -222,3 +228,15 @@ class FlownPlan:
             return False
         self.drop()
         return True
+
+
+def _level(path: TrajectoryFile) -> TrajectoryFile:
+    """The path with waypoints added on long legs, so that they follow the round Earth."""
+    waypoints = [path.waypoint[0]]
+    for a, b in itertools.pairwise(path.waypoint):
+        start, end = ((w.lat_deg, w.lon_deg, w.alt_m) for w in (a, b))
+        for share, (lat_deg, lon_deg, alt_m) in between(start, end, _LONGEST_LEG_M):
+            t_s = a.t_s + share * (b.t_s - a.t_s)
+            waypoints.append(Waypoint(t_s=t_s, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m))
+        waypoints.append(b)
+    return TrajectoryFile(altitude=path.altitude, waypoint=tuple(waypoints))
