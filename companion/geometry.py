@@ -76,7 +76,8 @@ def between(start: Vec3, end: Vec3, longest_m: float) -> list[tuple[float, Vec3]
         For each point its share of the way, and its place.
     """
     north_m, east_m, _ = LocalFrame(*start).to_ned(end[0], end[1], start[2])
-    pieces = math.ceil(math.hypot(north_m, east_m) / longest_m)
+    # With a tolerance, so that the pieces are not divided again.
+    pieces = math.ceil(math.hypot(north_m, east_m) / longest_m - 0.01)
     north, east, up = end[0] - start[0], math.remainder(end[1] - start[1], 360.0), end[2] - start[2]
     shares = [piece / pieces for piece in range(1, pieces)]
     return [

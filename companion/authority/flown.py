@@ -8,7 +8,6 @@ Landing ends the plan.
 
 from __future__ import annotations
 
-import itertools
 import math
 
 from companion.authority.course import Course
@@ -19,16 +18,12 @@ from companion.avoidance.law import new_law
 from companion.avoidance.path import local_path
 from companion.avoidance.trajectory import check_speeds
 from companion.avoidance.walls import walls_of
-from companion.config import Config, TrajectoryFile, Waypoint
+from companion.config import Config, TrajectoryFile, level
 from companion.errors import ConfigError
 from companion.events import Command, FlightMode, MissionDownloaded, MissionItem
-from companion.geometry import between
 from companion.ownship import Ownship
 
 _CHANGED = "the mission was changed while the pilot flew; select AUTO or MISSION to fly it, or land first"
-
-_LONGEST_LEG_M = 5_000.0
-"""Longest leg that is flown straight in the local frame; longer ones are divided."""
 
 
 class FlownPlan:
@@ -96,7 +91,7 @@ class FlownPlan:
             if len(path.waypoint) > 2:
                 # Leave out the first leg: it begins where the vehicle is taken, which is not known yet.
                 rest = TrajectoryFile(altitude=path.altitude, waypoint=path.waypoint[1:])
-                flown = local_path(_level(rest), own.frame, home)
+                flown = local_path(level(rest), own.frame, home)
                 check_speeds(flown, self.terms.config.limits, vehicle=self.terms.vehicle)
                 walls_of(self.downloads.areas(), own.frame, flown, own.sigma_m)
         except ConfigError as error:
@@ -146,7 +141,7 @@ class FlownPlan:
             raise ConfigError(_CHANGED)
         if speed is None or position is None or (flying and own.mission_seq is None):
             return None
-        return path_from_mission(
+        path = path_from_mission(
             self.downloads.items,
             speed_mps=speed,
             max_climb_mps=self.terms.limits.max_climb_mps,
@@ -156,6 +151,7 @@ class FlownPlan:
             # A mission in progress continues at its current item; any other starts at its beginning.
             first_seq=own.mission_seq if flying else None,
         )
+        return level(path)
 
     def _make(self, path: TrajectoryFile, own: Ownship, now_s: float) -> list[Command]:
         flight, limits = self.terms.config.flight, self.terms.config.limits
@@ -168,7 +164,6 @@ class FlownPlan:
             return self.terms.refuse(
                 "its altitudes are geodetic, but the GNSS reports no height above the ellipsoid"
             )
-        path = _level(path)
         trajectory = local_path(path, own.frame, above_msl)
         check_speeds(trajectory, limits, vehicle=self.terms.vehicle)
         start_s = None
@@ -228,15 +223,3 @@ class FlownPlan:
             return False
         self.drop()
         return True
-
-
-def _level(path: TrajectoryFile) -> TrajectoryFile:
-    """The path with waypoints added on long legs, so that they follow the round Earth."""
-    waypoints = [path.waypoint[0]]
-    for a, b in itertools.pairwise(path.waypoint):
-        start, end = ((w.lat_deg, w.lon_deg, w.alt_m) for w in (a, b))
-        for share, (lat_deg, lon_deg, alt_m) in between(start, end, _LONGEST_LEG_M):
-            t_s = a.t_s + share * (b.t_s - a.t_s)
-            waypoints.append(Waypoint(t_s=t_s, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m))
-        waypoints.append(b)
-    return TrajectoryFile(altitude=path.altitude, waypoint=tuple(waypoints))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pymap3d
 import pytest
 from hypothesis import given
@@ -63,3 +65,10 @@ def test_a_short_line_is_not_divided():
     here = (47.0, 8.0, 100.0)
     assert between(here, here, 10.0) == between(here, (47.0, 8.0, 900.0), 10.0) == []
     assert between(here, (47.00008, 8.0, 100.0), 10.0) == []
+
+
+@given(lat=st.floats(-80.0, 80.0), north=st.floats(-0.5, 0.5), east=st.floats(-0.5, 0.5))
+def test_pieces_of_a_line_are_not_divided_again(lat, north, east):
+    ends = (lat, 8.0, 100.0), (lat + north, 8.0 + east, 400.0)
+    line = [ends[0], *(place for _, place in between(*ends, 5_000.0)), ends[1]]
+    assert all(between(a, b, 5_000.0) == [] for a, b in itertools.pairwise(line))
