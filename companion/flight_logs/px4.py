@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.dialect import flight_mode
 from companion.autopilot.dialects.definition import CUSTOM_MODE_ENABLED
 from companion.autopilot.encoders import MAX_SETPOINT_MPS
+from companion.autopilot.readers import finite_or_none
 from companion.event_record import Step
 from companion.events import (
     AdsbVehicle,
@@ -238,10 +239,10 @@ class _Vehicle:
                     lat_deg=place[0],
                     lon_deg=place[1],
                     alt_msl_m=place[2],
-                    alt_ellipsoid_m=ellipsoid_m or None,
-                    horizontal_accuracy_m=_number(fields, "eph"),
-                    vertical_accuracy_m=_number(fields, "epv"),
-                    speed_accuracy_mps=_number(fields, "s_variance_m_s"),
+                    alt_ellipsoid_m=finite_or_none(ellipsoid_m) or None,
+                    horizontal_accuracy_m=finite_or_none(_number(fields, "eph")),
+                    vertical_accuracy_m=finite_or_none(_number(fields, "epv")),
+                    speed_accuracy_mps=finite_or_none(_number(fields, "s_variance_m_s")),
                     satellites=int(_number(fields, "satellites_used")),
                 )
             )

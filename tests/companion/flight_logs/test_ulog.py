@@ -1,6 +1,7 @@
 """PX4's logs: what each topic becomes, appended parts, damaged and torn files."""
 
 import io
+import math
 import struct
 from pathlib import Path
 
@@ -103,6 +104,17 @@ def test_a_receiver_with_an_impossible_date_does_not_know_utc(tmp_path: Path, mo
     found, _ = read(logs.px4(tmp_path / "x.ulg").read_bytes())
     assert of(VehicleTime, found) == []
     assert len(of(GnssFix, found)) == 5 * logs.SECONDS
+
+
+def test_what_a_receiver_does_not_know_is_no_number(copter: bytes):
+    """A height of the geoid that is no number made every distance to others one."""
+    place = struct.pack("<dddd", logs.latitude(10.0), logs.PLACE[1], logs.ALT_M + 1.0, logs.ALT_M + 49.0)
+    unknown = struct.pack("<ddddf", *struct.unpack("<ddd", place[:24]), math.nan, math.inf)
+    at = copter.index(place)
+    found, _ = read(copter[:at] + unknown + copter[at + len(unknown) :])
+    (fix,) = [fix for fix in of(GnssFix, found) if fix.alt_ellipsoid_m is None]
+    assert fix.speed_accuracy_mps is None
+    assert fix.horizontal_accuracy_m == pytest.approx(0.9)
 
 
 def test_positions_relative_to_an_origin_appended_data_and_damage(tmp_path: Path):
