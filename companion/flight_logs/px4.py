@@ -315,17 +315,19 @@ class _Vehicle:
             return []
         if not 0 <= icao <= 0xFFFFFF:
             raise ValueError("no ICAO address")
-        course, speed = _number(fields, "heading"), _number(fields, "hor_velocity")
+        course, speed, climb = _vector(fields, "heading", "hor_velocity", "ver_velocity")
+        velocity: Vec3 | None = None
         known = flags & _FLAG_HEADING and flags & _FLAG_VELOCITY
-        velocity = speed * math.cos(course), speed * math.sin(course), -_number(fields, "ver_velocity")
+        if known and all(map(math.isfinite, (course, speed, climb))):
+            velocity = speed * math.cos(course), speed * math.sin(course), -climb
         return [
             AdsbVehicle(
                 icao=icao,
                 lat_deg=lat,
                 lon_deg=lon,
-                alt_m=_number(fields, "altitude") if flags & _FLAG_ALTITUDE else None,
+                alt_m=finite_or_none(_number(fields, "altitude")) if flags & _FLAG_ALTITUDE else None,
                 alt_geometric=_number(fields, "altitude_type") == _GEOMETRIC,
-                velocity_ned_mps=velocity if known else None,
+                velocity_ned_mps=velocity,
                 age_s=_number(fields, "tslc"),
                 callsign=str(fields["callsign"]) if flags & _FLAG_CALLSIGN else "",
                 emitter=int(_number(fields, "emitter_type")),

@@ -117,6 +117,22 @@ def test_what_a_receiver_does_not_know_is_no_number(copter: bytes):
     assert fix.horizontal_accuracy_m == pytest.approx(0.9)
 
 
+@pytest.mark.parametrize(
+    ("number", "odd", "name"),
+    [
+        (logs.ALT_M + 148.0, math.nan, "alt_m"),
+        (math.radians(270.0), math.inf, "velocity_ned_mps"),
+        (40.0, math.nan, "velocity_ned_mps"),
+    ],
+)
+def test_traffic_without_a_number_keeps_its_place(copter: bytes, number: float, odd: float, name: str):
+    found, about = read(copter.replace(struct.pack("<f", number), struct.pack("<f", odd)))
+    traffic = of(AdsbVehicle, found)
+    assert len(traffic) == logs.SECONDS
+    assert {getattr(one, name) for one in traffic} == {None}
+    assert about.counts.bad_values == 0
+
+
 def test_positions_relative_to_an_origin_appended_data_and_damage(tmp_path: Path):
     found, about = read(logs.old_px4(tmp_path / "x.ulg").read_bytes())
     places = of(GlobalPosition, found)
