@@ -18,6 +18,7 @@ from msgspec import Meta
 from companion.arrays import Integers
 from companion.errors import ConfigError
 from companion.events import FenceArea
+from companion.geometry import LocalFrame, between
 from companion.toml_reader import decode_toml
 
 MIN_POINTS = 3
@@ -25,6 +26,10 @@ MAX_SPAN_DEG = 5.0
 """Largest distance of a corner from the first one, in latitude and in longitude. Within it the largest
 products below fit 64 bits. A larger fence is most likely a typing error."""
 MAX_RADIUS_M = 500_000.0
+LONGEST_EDGE_M = 5_000.0
+"""Longer edges of a polygon are divided."""
+_MOST_PIECES = 1000
+"""Most corners that are added to a polygon, so that its walls take no more time than a step has."""
 _E7 = 1e7
 """Corners are compared exactly, as integers in units of 1e-7 deg (about 1 cm), as MAVLink carries them."""
 
@@ -71,12 +76,27 @@ def load_fence(path: Path) -> tuple[FenceArea, ...]:
         check_areas(areas)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
-    return areas
+    return tuple(map(divided, areas))
 
 
 def _area(table: _Area) -> FenceArea:
     points = tuple((lat_deg, lon_deg) for lat_deg, lon_deg in table.points or (table.center,))
     return FenceArea(inclusion=table.inclusion, points=points, radius_m=table.radius_m)
+
+
+def divided(area: FenceArea) -> FenceArea:
+    """The area with corners added on long edges, which autopilots draw straight in latitude and longitude."""
+    if area.radius_m is not None:
+        return area
+    places = [(lat_deg, lon_deg, 0.0) for lat_deg, lon_deg in area.points]
+    edges = list(zip(places, (*places[1:], places[0]), strict=True))
+    around_m = sum(math.hypot(*LocalFrame(*a).to_ned(*b)[:2]) for a, b in edges)
+    longest_m = max(LONGEST_EDGE_M, around_m / _MOST_PIECES)
+    points: list[tuple[float, float]] = []
+    for corner, following in edges:
+        points.append(corner[:2])
+        points += [place[:2] for _, place in between(corner, following, longest_m)]
+    return FenceArea(inclusion=area.inclusion, points=tuple(points))
 
 
 def check_areas(areas: Sequence[FenceArea]) -> None:

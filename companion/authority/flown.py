@@ -16,9 +16,9 @@ from companion.authority.terms import Terms
 from companion.autopilot.lists.mission import path_from_mission
 from companion.avoidance.law import new_law
 from companion.avoidance.path import local_path
-from companion.avoidance.trajectory import Trajectory, check_speeds
+from companion.avoidance.trajectory import check_speeds
 from companion.avoidance.walls import walls_of
-from companion.config import Config, TrajectoryFile
+from companion.config import Config, TrajectoryFile, level
 from companion.errors import ConfigError
 from companion.events import Command, FlightMode, MissionDownloaded, MissionItem
 from companion.ownship import Ownship
@@ -88,10 +88,10 @@ class FlownPlan:
                 start=start,
                 home_alt_msl_m=home,
             )
-            whole = local_path(path, own.frame, home)
-            if len(whole.times_s) > 2:
+            if len(path.waypoint) > 2:
                 # Leave out the first leg: it begins where the vehicle is taken, which is not known yet.
-                flown = Trajectory(whole.times_s[1:], whole.points_ned_m[1:])
+                rest = TrajectoryFile(altitude=path.altitude, waypoint=path.waypoint[1:])
+                flown = local_path(level(rest), own.frame, home)
                 check_speeds(flown, self.terms.config.limits, vehicle=self.terms.vehicle)
                 walls_of(self.downloads.areas(), own.frame, flown, own.sigma_m)
         except ConfigError as error:
@@ -141,7 +141,7 @@ class FlownPlan:
             raise ConfigError(_CHANGED)
         if speed is None or position is None or (flying and own.mission_seq is None):
             return None
-        return path_from_mission(
+        path = path_from_mission(
             self.downloads.items,
             speed_mps=speed,
             max_climb_mps=self.terms.limits.max_climb_mps,
@@ -151,6 +151,7 @@ class FlownPlan:
             # A mission in progress continues at its current item; any other starts at its beginning.
             first_seq=own.mission_seq if flying else None,
         )
+        return level(path)
 
     def _make(self, path: TrajectoryFile, own: Ownship, now_s: float) -> list[Command]:
         flight, limits = self.terms.config.flight, self.terms.config.limits

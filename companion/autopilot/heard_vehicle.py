@@ -39,6 +39,7 @@ companion that sends as many messages as we do may have the same numbers, but ne
 _SECOND_HEARTBEATS, _SECOND_APART_S, _SECOND_GONE_S = 3, 0.5, 5.0
 """So many heartbeats under our own id, this far apart, are those of a second companion. A companion that was
 restarted may hear the last one of its own former process. It is gone after this time without any."""
+_ALL = "its system id is 0, which addresses every vehicle on the link: give it another"
 _GROUND_STATION = mavlink.MAV_TYPE_GCS
 _GENERIC = mavlink.MAV_TYPE_GENERIC
 _HEARTBEAT_ID = mavlink.MAVLINK_MSG_ID_HEARTBEAT
@@ -143,7 +144,7 @@ class HeardVehicle:
                 system_id=heartbeat.system_id,
                 firmware=heartbeat.firmware,
                 vehicle_type=heartbeat.vehicle_type,
-                refusal=refusal(heartbeat.firmware, heartbeat.vehicle_type),
+                refusal=refusal(heartbeat.firmware, heartbeat.vehicle_type) if heartbeat.system_id else _ALL,
             )
         return known is None or dropped
 

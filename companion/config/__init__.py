@@ -7,6 +7,7 @@ of radios (`companion.radio.registry`).
 
 from companion.config.checks import check
 from companion.config.identity_checks import check_identity
+from companion.config.legs import level
 from companion.config.loading import dump, load, load_trajectory, public
 from companion.config.sections import (
     CHOOSER_WORDS,
@@ -51,6 +52,7 @@ __all__ = [
     "check",
     "check_identity",
     "dump",
+    "level",
     "load",
     "load_trajectory",
     "names_file",

@@ -13,6 +13,7 @@ import msgspec
 import tomli_w
 
 from companion.config.checks import check
+from companion.config.legs import level
 from companion.config.sections import Config, IdentityConfig, SigningConfig, TrajectoryFile, names_file
 from companion.errors import ConfigError, PeerDataError
 from companion.geofence import load_fence
@@ -47,6 +48,7 @@ def load(path: Path) -> Config:
     trajectory = config.flight.trajectory
     if config.path is not None:
         _check_times(config.path, f"{path}: path")
+        config = msgspec.structs.replace(config, path=level(config.path))
     elif trajectory is not None and trajectory != "mission":
         config = msgspec.structs.replace(
             config, path=_beside(path, "flight.trajectory", trajectory, load_trajectory)
@@ -155,7 +157,7 @@ def load_trajectory(path: Path) -> TrajectoryFile:
     """
     trajectory = decode_toml(path, TrajectoryFile)
     _check_times(trajectory, str(path))
-    return trajectory
+    return level(trajectory)
 
 
 def _check_times(trajectory: TrajectoryFile, name: str) -> None:

@@ -48,7 +48,8 @@ class VehicleConfig(_Section, frozen=True):
     """udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD."""
     system_id: Annotated[int, Meta(ge=0, le=255)] = 0
     """MAVLink system ID of our vehicle. 0: the only autopilot on the link; if there are two, none is used."""
-    component_id: Annotated[int, Meta(ge=1, le=255)] = 191
+    component_id: Annotated[int, Meta(ge=2, le=255)] = 191
+    """MAVLink component ID of the companion. 1 is the autopilot's own."""
     dialect: Annotated[str, Meta(min_length=1)] | None = None
     """Name of a plug-in whose dialect replaces that of the firmware that it resembles. None: use the built-in
     dialects of ArduPilot and PX4."""

@@ -34,7 +34,7 @@ from companion.events import (
     VelocitySetpoint,
 )
 from companion.flight_logs.dataflash import DataFlashReader, Fields
-from companion.flight_logs.logged import About, LogCounts, TimeOrder, on_earth
+from companion.flight_logs.logged import About, LogCounts, TimeOrder, is_utc, on_earth
 from companion.geometry import Vec3
 
 KIND = "ArduPilot DataFlash log"
@@ -97,8 +97,10 @@ _GUIDED_WITH_VELOCITY = (3, 4)
 """Types of guided targets (ModeGuided::SubMode) with a velocity."""
 _ESTIMATES = mavlink.ESTIMATOR_VELOCITY_HORIZ | mavlink.ESTIMATOR_POS_HORIZ_ABS
 _CONSTANT_POSITION = mavlink.ESTIMATOR_CONST_POS_MODE
-_GPS_EPOCH_S, _WEEK_S, _LEAP_S = 315_964_800, 604_800, 18
-"""GPS time began on 6 January 1980. Since 2017 it is 18 s ahead of UTC."""
+_GPS_EPOCH_S, _WEEK_S = 315_964_800, 604_800
+"""GPS time began on 6 January 1980."""
+_LEAPS = ((1_483_228_800, 18), (1_435_708_800, 17), (1_341_100_800, 16), (0, 15))
+"""UTC (Unix seconds) of the last leap seconds, and how far GPS time is ahead of UTC since then (s)."""
 _VELOCITY_AGE_S = 1.0
 
 
@@ -141,6 +143,12 @@ def _position_source(stream: BinaryIO, name: str) -> str:
                 return kind
             found = kind
     return found
+
+
+def _utc_s(week: int, milliseconds: int) -> float:
+    """UTC of a GPS week and the time in it."""
+    gps_s = _GPS_EPOCH_S + week * _WEEK_S + milliseconds / 1e3
+    return next(gps_s - ahead_s for since_s, ahead_s in _LEAPS if gps_s - ahead_s >= since_s)
 
 
 def _has_place(fields: Fields) -> bool:
@@ -243,9 +251,8 @@ class _Vehicle:
                     satellites=int(fields["NSats"]),
                 )
             )
-        week = int(fields["GWk"])
-        if week > 0 and status >= mavlink.GPS_FIX_TYPE_3D_FIX:
-            utc_s = _GPS_EPOCH_S + week * _WEEK_S + int(fields["GMS"]) / 1e3 - _LEAP_S
+        utc_s = _utc_s(int(fields["GWk"]), int(fields["GMS"]))
+        if status >= mavlink.GPS_FIX_TYPE_3D_FIX and is_utc(utc_s):
             found.append(VehicleTime(time_boot_s=time_s, utc_s=utc_s))
         if status >= mavlink.GPS_FIX_TYPE_3D_FIX:
             course, speed = math.radians(float(fields["GCrs"])), float(fields["Spd"])

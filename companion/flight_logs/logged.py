@@ -9,6 +9,7 @@ from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from companion.autopilot.readers import UTC_RANGE_S
 from companion.event_record import Step
 from companion.events import (
     AdsbVehicle,
@@ -30,6 +31,9 @@ MOST_WAITING = 20_000
 """Most messages that wait for earlier ones. A log with more of them in `WINDOW_S` is damaged."""
 WIND_PERIOD_S = 1.0
 """Least time between two kept estimates of the wind."""
+EARLIEST_UTC_S = 1_325_376_000.0
+"""The year 2012. Neither format existed before, so an earlier time is that of a receiver that does not know
+UTC or that takes GPS time for one before a rollover of its 1024 weeks."""
 FIX_3D = 3
 """GPS_FIX_TYPE from which on a position is three-dimensional."""
 _ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
@@ -240,6 +244,11 @@ class TimeOrder:
             return Step(now_s=self._last_s, events=(), commands=(item,))
         # A velocity setpoint is the only command that a log is read for.
         return Step(now_s=self._last_s, events=(item,), commands=())  # type: ignore[arg-type]
+
+
+def is_utc(utc_s: float) -> bool:
+    """Whether a vehicle with this time (Unix seconds) knows UTC."""
+    return EARLIEST_UTC_S <= utc_s <= UTC_RANGE_S[1]
 
 
 def on_earth(lat_deg: float, lon_deg: float, *numbers: float) -> bool:

@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.dialect import flight_mode
 from companion.autopilot.dialects.definition import CUSTOM_MODE_ENABLED
 from companion.autopilot.encoders import MAX_SETPOINT_MPS
+from companion.autopilot.readers import finite_or_none
 from companion.event_record import Step
 from companion.events import (
     AdsbVehicle,
@@ -32,7 +33,7 @@ from companion.events import (
     VehicleTime,
     VelocitySetpoint,
 )
-from companion.flight_logs.logged import About, LogCounts, TimeOrder, on_earth
+from companion.flight_logs.logged import About, LogCounts, TimeOrder, is_utc, on_earth
 from companion.flight_logs.ulog import Fields, Logged, UlogReader
 from companion.geometry import LocalFrame, Vec3
 
@@ -68,8 +69,6 @@ _NEW_MODES = {6: (3, 2), 8: (11, 0)}
 """Modes of the states that had another meaning before release 1.14."""
 _ALL_SPEEDS = ("vx", "vy", "vz")
 _FLAG_COORDS, _FLAG_ALTITUDE, _FLAG_HEADING, _FLAG_VELOCITY, _FLAG_CALLSIGN = 1, 2, 4, 8, 16
-_EARLIEST_UTC_S = 946_684_800.0
-"""The year 2000. With an earlier time, the receiver does not know UTC."""
 _VELOCITY_AGE_S = 1.0
 _GEOMETRIC = 1
 _GOOD_TO_ARM = mavlink.MAV_ODID_ARM_STATUS_GOOD_TO_ARM
@@ -240,15 +239,15 @@ class _Vehicle:
                     lat_deg=place[0],
                     lon_deg=place[1],
                     alt_msl_m=place[2],
-                    alt_ellipsoid_m=ellipsoid_m or None,
-                    horizontal_accuracy_m=_number(fields, "eph"),
-                    vertical_accuracy_m=_number(fields, "epv"),
-                    speed_accuracy_mps=_number(fields, "s_variance_m_s"),
+                    alt_ellipsoid_m=finite_or_none(ellipsoid_m) or None,
+                    horizontal_accuracy_m=finite_or_none(_number(fields, "eph")),
+                    vertical_accuracy_m=finite_or_none(_number(fields, "epv")),
+                    speed_accuracy_mps=finite_or_none(_number(fields, "s_variance_m_s")),
                     satellites=int(_number(fields, "satellites_used")),
                 )
             )
         utc_s = _number(fields, "time_utc_usec") / 1e6
-        if utc_s > _EARLIEST_UTC_S:
+        if is_utc(utc_s):
             # The time that UTC belongs to may be a little before the time of the message.
             utc_s -= float(_number(fields, "timestamp_time_relative")) / 1e6
             found.append(VehicleTime(time_boot_s=time_s, utc_s=utc_s))
@@ -316,17 +315,19 @@ class _Vehicle:
             return []
         if not 0 <= icao <= 0xFFFFFF:
             raise ValueError("no ICAO address")
-        course, speed = _number(fields, "heading"), _number(fields, "hor_velocity")
+        course, speed, climb = _vector(fields, "heading", "hor_velocity", "ver_velocity")
+        velocity: Vec3 | None = None
         known = flags & _FLAG_HEADING and flags & _FLAG_VELOCITY
-        velocity = speed * math.cos(course), speed * math.sin(course), -_number(fields, "ver_velocity")
+        if known and all(map(math.isfinite, (course, speed, climb))):
+            velocity = speed * math.cos(course), speed * math.sin(course), -climb
         return [
             AdsbVehicle(
                 icao=icao,
                 lat_deg=lat,
                 lon_deg=lon,
-                alt_m=_number(fields, "altitude") if flags & _FLAG_ALTITUDE else None,
+                alt_m=finite_or_none(_number(fields, "altitude")) if flags & _FLAG_ALTITUDE else None,
                 alt_geometric=_number(fields, "altitude_type") == _GEOMETRIC,
-                velocity_ned_mps=velocity if known else None,
+                velocity_ned_mps=velocity,
                 age_s=_number(fields, "tslc"),
                 callsign=str(fields["callsign"]) if flags & _FLAG_CALLSIGN else "",
                 emitter=int(_number(fields, "emitter_type")),

@@ -27,7 +27,7 @@ _ALTITUDE_MAX_M: Final = 31767.5
 _LAT_MAX: Final = 900_000_000
 _LON_MAX: Final = 1_800_000_000
 _DIRECTION_UNKNOWN: Final = 361
-_CLIMB_MAX_MPS: Final = 62.0
+CLIMB_MAX_MPS: Final = 62.0
 _CLIMB_UNKNOWN: Final = 126
 _SLOW_MAX_MPS: Final = 63.75
 _SPEED_MAX_MPS: Final = 254.25
@@ -147,14 +147,14 @@ def climb_to_wire(field: str, mps: float | None) -> int:
     """Encode vertical speed (m/s, positive up) as i8 in 0.5 m/s steps; unknown is 126."""
     if mps is None:
         return _CLIMB_UNKNOWN
-    if not -_CLIMB_MAX_MPS <= mps <= _CLIMB_MAX_MPS:
+    if not -CLIMB_MAX_MPS <= mps <= CLIMB_MAX_MPS:
         refuse(field, mps, "-62 to 62 m/s")
     return round(mps * 2.0)
 
 
 def _climb(byte: int) -> float | None:
     mps = (byte - 256 if byte > 127 else byte) * 0.5
-    return mps if -_CLIMB_MAX_MPS <= mps <= _CLIMB_MAX_MPS else None
+    return mps if -CLIMB_MAX_MPS <= mps <= CLIMB_MAX_MPS else None
 
 
 CLIMBS_MPS: Final = tuple(_climb(byte) for byte in range(256))

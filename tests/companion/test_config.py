@@ -91,6 +91,10 @@ def write(folder: Path, text: str, name: str = "c.toml") -> Path:
         (IDENTITY + "[remote_id]\nrate = 11\n", "remote_id.rate: 11: expected a whole number, 1 to 10"),
         (IDENTITY + "[remote_id]\nrate = 1.5\n", "remote_id.rate: 1.5: expected a whole number, 1 to 10"),
         (IDENTITY + "[remote_id]\nclass_eu = 9\n", "class_eu: 9: expected a whole number, 0 to 7"),
+        (
+            IDENTITY + "[vehicle]\ncomponent_id = 1\n",
+            "vehicle.component_id: 1: expected a whole number, 2 to 255",
+        ),
         (IDENTITY + "[remote_id]\ncomponent = 1\n", "component: 1: expected true or false"),
         (IDENTITY + "[remote_id]\noperator_id = 5\n", "operator_id: expected text of 1 to 24 characters"),
         (IDENTITY + "[flight]\nuse = 3\n", "flight.use: 3: expected one of 'watch', 'guard', 'fly'"),

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.lists.list_download import GLOBAL_FRAMES
 from companion.errors import PeerDataError
 from companion.events import FenceArea, MissionItem
-from companion.geofence import MIN_POINTS, fault_of
+from companion.geofence import MIN_POINTS, divided, fault_of
 
 _RETURN_POINT = mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT
 _POLYGONS = {
@@ -63,7 +63,7 @@ def _areas(items: Sequence[MissionItem]) -> Iterator[FenceArea]:
         fault = fault_of(area)
         if fault is not None:
             raise _refused(item, fault)
-        yield area
+        yield divided(area)
         at += len(members)
 
 

@@ -142,7 +142,10 @@ class MissionDownload:
         if now_s < self._next_s:
             return None
         what = "MISSION_COUNT" if self._count is None else f"item {len(self._got)} of {self._count}"
-        if self._tries == MAX_TRIES or now_s - self._started_s > TOTAL_S:
+        if now_s - self._started_s > TOTAL_S:
+            self.failed = f"{what} was not received within {TOTAL_S:g} s"
+            return self._cancel()
+        if self._tries == MAX_TRIES:
             self.failed = f"{what} was not received after {self._tries} tries"
             return self._cancel()
         self._tries += 1

@@ -18,8 +18,6 @@ from companion.remote_id.mavlink.layouts import (
     AUTHENTICATION_LAYOUT,
     BASIC_ID,
     BASIC_ID_LAYOUT,
-    CLIMB_UNKNOWN,
-    DIRECTION_UNKNOWN,
     GOOD_TO_ARM,
     LOCATION,
     LOCATION_LAYOUT,
@@ -35,7 +33,6 @@ from companion.remote_id.mavlink.layouts import (
     SYSTEM_LAYOUT,
     SYSTEM_UPDATE,
     SYSTEM_UPDATE_LAYOUT,
-    TIMESTAMP_UNKNOWN_S,
     UNDERFLOW,
 )
 from companion.remote_id.messages import (
@@ -54,6 +51,7 @@ from companion.remote_id.messages import (
     UaType,
 )
 from companion.remote_id.wire_values import (
+    CLIMB_MAX_MPS,
     HORIZONTAL_ACCURACY_M,
     SPEED_ACCURACY_MPS,
     TIMESTAMP_ACCURACY_S,
@@ -110,8 +108,11 @@ def decode_odid(message_id: int, payload: bytes) -> Odid:
 
     A MESSAGE_PACK is read as far as possible (`codec.read_payload`); its `faults` describe what was left out.
 
+    A direction, a vertical speed or a timestamp that the standard does not allow becomes unknown, as in
+    `wire_messages.decode`: receivers pass on what others send.
+
     Raises:
-        PeerDataError: an invalid value, named with field and limit; or a message ID outside `READABLE`.
+        PeerDataError: another invalid value, named with field and limit; or a message ID outside `READABLE`.
     """
     reader = _READERS.get(message_id)
     if reader is None:
@@ -143,8 +144,10 @@ def _metres(value: float) -> float | None:
     return None if value == ALTITUDE_UNKNOWN_M else value
 
 
-def _unless(unknown: int, hundredths: int) -> float | None:
-    return None if hundredths == unknown else hundredths / 100.0
+def _within(value: float, least: float, most: float) -> float | None:
+    """The value, or None if the standard does not allow it: the rest of the message is valid, as that of one
+    from the air."""
+    return value if least <= value <= most else None
 
 
 def _utc_s(seconds: int) -> float | None:
@@ -177,15 +180,15 @@ def _read_location(fields: tuple[Any, ...]) -> Odid:
         alt_baro_m=_metres(baro),
         height_type=HeightType(check_integer("Location.height_type", reference, 1)),
         height_m=_metres(height),
-        direction_deg=0.0 if direction == 36000 else _unless(DIRECTION_UNKNOWN, direction),
-        speed_mps=_unless(SPEED_UNKNOWN, speed),
-        vertical_speed_mps=_unless(CLIMB_UNKNOWN, climb),
+        direction_deg=0.0 if direction == 36000 else _within(direction / 100.0, 0.0, 360.0),
+        speed_mps=None if speed == SPEED_UNKNOWN else speed / 100.0,
+        vertical_speed_mps=_within(climb / 100.0, -CLIMB_MAX_MPS, CLIMB_MAX_MPS),
         horizontal_accuracy_m=_bound(HORIZONTAL_ACCURACY_M, "Location.horizontal_accuracy_m", horizontal),
         vertical_accuracy_m=_bound(VERTICAL_ACCURACY_M, "Location.vertical_accuracy_m", vertical),
         baro_accuracy_m=_bound(VERTICAL_ACCURACY_M, "Location.baro_accuracy_m", baro_acc),
         speed_accuracy_mps=_bound(SPEED_ACCURACY_MPS, "Location.speed_accuracy_mps", speed_acc),
         # Sent in milliseconds. Further digits are rounding noise of the 32-bit float.
-        timestamp_s=None if timestamp == TIMESTAMP_UNKNOWN_S else round(timestamp, 3),
+        timestamp_s=_within(round(timestamp, 3), 0.0, 3600.0),
         timestamp_accuracy_s=_bound(TIMESTAMP_ACCURACY_S, "Location.timestamp_accuracy_s", time_acc),
     )
     return Odid(system, component, id_or_mac, (location,))

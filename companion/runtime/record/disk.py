@@ -21,7 +21,8 @@ from companion.config import RecordConfig
 MANIFEST = "manifest.json"
 RUN = "companion run"
 """Value of "what" in the manifest of a run that may be deleted."""
-_RUN_NAME = re.compile(r"\d{8}T\d{6}Z-.+")
+_RUN_NAME = re.compile(r"(\d{8}T\d{6}Z)-.+?(?:-(\d+))?")
+"""Time at which the run began; then its name, and a number if there are several of that name and time."""
 _MB = 1_000_000
 
 
@@ -112,10 +113,17 @@ def replace_file(path: Path, data: bytes) -> None:
 def finished_runs(root: Path) -> list[Path]:
     """Run folders that may be deleted, ordered by the time in their names, oldest first."""
     try:
-        names = sorted(name for name in os.listdir(root) if _RUN_NAME.fullmatch(name))
+        found = sorted((_begun(name), name) for name in os.listdir(root) if _RUN_NAME.fullmatch(name))
     except OSError:
         return []
-    return [root / name for name in names if _is_finished_run(root / name)]
+    return [root / name for _, name in found if _is_finished_run(root / name)]
+
+
+def _begun(name: str) -> tuple[str, int]:
+    """Time and number in the name of a run. Without a clock, many runs begin at the same time."""
+    match = _RUN_NAME.fullmatch(name)
+    assert match is not None
+    return match[1], int(match[2] or 1)
 
 
 def _is_finished_run(folder: Path) -> bool:

@@ -10,8 +10,11 @@ from companion.events import (
     Firmware,
     FlightMode,
     Heartbeat,
+    ModeRefused,
     SecondCompanion,
+    SetMode,
     TwoAutopilots,
+    VelocitySetpoint,
 )
 from tests.companion.autopilot.conftest import Scripted
 
@@ -37,6 +40,20 @@ def test_takes_the_first_autopilot_and_its_system_id() -> None:
     told = scripted.told()
     assert {m.get_srcSystem() for m in told} == {42}
     assert {m.target_system for m in told if m.get_type() == "COMMAND_LONG"} == {42}
+
+
+def test_a_vehicle_with_the_system_id_of_all_is_not_commanded() -> None:
+    """Every vehicle on the link would have obeyed what it was sent."""
+    scripted = Scripted()
+    scripted.heartbeat(system=0)
+    assert scripted.link.vehicle is not None
+    assert scripted.link.vehicle.refusal is not None
+    assert "system id is 0" in scripted.link.vehicle.refusal
+    scripted.link.send(SetMode(mode=FlightMode.HOLD), scripted.now_s)
+    scripted.link.send(VelocitySetpoint(velocity_ned_mps=(1.0, 0.0, 0.0)), scripted.now_s)
+    (refused,) = scripted.after(0.0)
+    assert isinstance(refused, ModeRefused)
+    assert scripted.told("SET_POSITION_TARGET_LOCAL_NED") == []
 
 
 def test_ground_stations_companions_and_foreign_components_are_never_the_vehicle() -> None:

@@ -8,9 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.avoidance import kernels as k
+from companion.avoidance.walls import walls_of
 from companion.errors import ConfigError
 from companion.events import FenceArea
-from companion.geofence import check_areas, fault_of, load_fence
+from companion.geofence import check_areas, divided, fault_of, load_fence
+from companion.geometry import LocalFrame
 
 SQUARE = ((47.0, 8.0), (47.01, 8.0), (47.01, 8.01), (47.0, 8.01))
 EXAMPLE = Path(__file__).parents[3] / "config" / "fence.toml"
@@ -151,6 +154,38 @@ def test_polygons_on_a_small_grid(corners: list[tuple[int, int]]) -> None:
     assert (fault is None) == simple
 
 
+# ---------------------------------------------------------------- long edges
+
+
+@pytest.mark.parametrize("lon_deg", [8.0, 180.0, -180.0])
+@pytest.mark.parametrize("inclusion", [True, False])
+def test_a_long_edge_is_straight_in_latitude_and_longitude(inclusion: bool, lon_deg: float) -> None:
+    """As autopilots draw it. Straight in the local frame, it was 53 m farther north halfway along."""
+    west, east = (math.remainder(lon_deg + side * 0.33, 360.0) for side in (-1.0, 1.0))
+    corners = (47.4, west), (47.4, east), (47.2, east), (47.2, west)
+    area = divided(FenceArea(inclusion=inclusion, points=corners))
+    assert fault_of(area) is None
+    frame = LocalFrame(47.39, lon_deg, 500.0)
+    walls = walls_of([area], frame, None, 0.0)
+    for north_m, inside in ((-1.0, True), (1.0, False)):
+        north, east_m, _ = frame.to_ned(47.4 + north_m / 111_200.0, lon_deg, 500.0)
+        assert k.inside(walls, 0, len(walls), k.Point(north, east_m)) == inside
+
+
+@pytest.mark.parametrize("area", [area for area in GOOD if area.radius_m != 500_000.0])
+def test_areas_without_long_edges_are_kept_as_they_are(area: FenceArea) -> None:
+    assert divided(area) == area
+
+
+def test_the_largest_polygon_gets_a_bounded_number_of_corners() -> None:
+    """Its edges run to and fro between its centre and its border."""
+    count = 2000
+    ring = [(2.4 if n % 2 else 0.1, 2.0 * math.pi * n / count) for n in range(count)]
+    star = polygon(*((47.0 + r * math.cos(angle), 8.0 + r * math.sin(angle)) for r, angle in ring))
+    assert fault_of(star) is None
+    assert len(divided(star).points) <= count + 1000 + count
+
+
 # ---------------------------------------------------------------- files
 
 
@@ -221,3 +256,10 @@ def test_files_are_refused_by_key(tmp_path: Path, text: str, fault: str) -> None
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         load_fence(tmp_path / "none.toml")
+
+
+def test_long_edges_of_a_file_are_divided(tmp_path: Path) -> None:
+    path = tmp_path / "fence.toml"
+    path.write_text("[[area]]\ninclusion = true\npoints = [[47.4, 8.0], [47.4, 8.3], [47.39, 8.0]]")
+    (area,) = load_fence(path)
+    assert area.points[:2] == ((47.4, 8.0), (47.4, pytest.approx(8.06)))

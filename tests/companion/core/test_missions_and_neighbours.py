@@ -17,7 +17,7 @@ from companion.events import (
     TwoAutopilots,
     VelocitySetpoint,
 )
-from tests.companion.conftest import Bench, config, mission
+from tests.companion.conftest import ALT_MSL, LAT, Bench, config, mission
 from tests.companion.core.conftest import intruder
 
 # ---------------------------------------------------------------- the vehicle's mission, given back
@@ -189,3 +189,18 @@ def test_a_mission_in_progress_goes_on_at_its_item_any_other_begins_at_the_first
     assert [point[0] for point in points[1:]] == [
         pytest.approx(north_m, abs=1.0) for north_m in (300.0, 600.0, 900.0) if north_m >= first_m
     ]
+
+
+def test_a_long_leg_follows_the_round_earth():
+    """Straight through it, the middle of a leg of 60 km was 70 m too low, below home."""
+    made = msgspec.structs.replace(config(trajectory="mission", mission_speed_mps=3.0), path=None)
+    bench = Bench(Companion(made), mission=mission(60_000.0))
+    bench.until(lambda: bench.core.state in HOLDING)
+    course, frame = bench.core.plan.course, bench.core.own.frame
+    path = course.law.trajectory
+    for share in (0.04, 0.25, 0.5, 0.75, 0.96):
+        time_s = share * path.end_s
+        lat_deg, _, alt_m = frame.to_geodetic(*path.position(time_s))
+        assert alt_m - ALT_MSL == pytest.approx(0.0, abs=0.6)
+        assert (lat_deg - LAT) * 111_194.9 == pytest.approx(share * 60_000.0, abs=10.0)
+        assert course.leg_heights_m(bench.now_s + time_s) == pytest.approx((50.0, 50.0))

@@ -126,6 +126,27 @@ def test_traffic_gnss_wind_and_time(copter: bytes):
     assert 0.9 * logs.SECONDS <= len(rows) <= logs.SECONDS
 
 
+@pytest.mark.parametrize("utc_s", [logs.UTC_S - 1024 * 604_800, logs.GPS_EPOCH_S, 3.8e10])
+def test_a_receiver_that_counts_weeks_from_a_rollover_does_not_know_utc(tmp_path: Path, monkeypatch, utc_s):
+    """With a date in the year 3175, exports failed; with one 1024 weeks early, the flight was misplaced."""
+    monkeypatch.setattr(logs, "UTC_S", utc_s)
+    found, _ = read(logs.copter(tmp_path / "copter.bin").read_bytes())
+    assert of(VehicleTime, found) == []
+    assert len(of(GnssFix, found)) == 5 * logs.SECONDS
+
+
+@pytest.mark.parametrize(
+    ("start_s", "leap_s"), [(1_483_228_801.0, 18), (1_470_000_000.0, 17), (1_400_000_000.0, 16)]
+)
+def test_utc_of_an_old_log_has_the_leap_seconds_of_its_day(tmp_path: Path, monkeypatch, start_s, leap_s):
+    """One second moves an aircraft by its speed on a time line with others."""
+    monkeypatch.setattr(logs, "UTC_S", start_s)
+    monkeypatch.setattr(logs, "LEAP_S", leap_s)
+    found, _ = read(logs.copter(tmp_path / "copter.bin").read_bytes())
+    offsets = [item.utc_s - now_s for now_s, item in found if isinstance(item, VehicleTime)]
+    assert offsets == pytest.approx([start_s - 0.1] * (5 * logs.SECONDS), abs=2e-3)
+
+
 def test_without_an_estimator_the_receivers_positions_count(tmp_path: Path):
     found, about = read(logs.old_plane(tmp_path / "plane.bin").read_bytes())
     places = of(GlobalPosition, found)

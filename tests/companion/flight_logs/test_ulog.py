@@ -1,6 +1,7 @@
 """PX4's logs: what each topic becomes, appended parts, damaged and torn files."""
 
 import io
+import math
 import struct
 from pathlib import Path
 
@@ -95,6 +96,41 @@ def test_traffic_gnss_wind_texts_and_time(copter: bytes):
     (module,) = of(RemoteIdModule, found)
     assert (module.ready, module.text) == (False, "missing basic_id message")
     assert about.damage("x.ulg") == ("x.ulg: the autopilot could not write once, for 0.06 s in all",)
+
+
+@pytest.mark.parametrize("utc_s", [0.0, 1e9, 2.5e12, 1.8e13])
+def test_a_receiver_with_an_impossible_date_does_not_know_utc(tmp_path: Path, monkeypatch, utc_s):
+    monkeypatch.setattr(logs, "UTC_S", utc_s)
+    found, _ = read(logs.px4(tmp_path / "x.ulg").read_bytes())
+    assert of(VehicleTime, found) == []
+    assert len(of(GnssFix, found)) == 5 * logs.SECONDS
+
+
+def test_what_a_receiver_does_not_know_is_no_number(copter: bytes):
+    """A height of the geoid that is no number made every distance to others one."""
+    place = struct.pack("<dddd", logs.latitude(10.0), logs.PLACE[1], logs.ALT_M + 1.0, logs.ALT_M + 49.0)
+    unknown = struct.pack("<ddddf", *struct.unpack("<ddd", place[:24]), math.nan, math.inf)
+    at = copter.index(place)
+    found, _ = read(copter[:at] + unknown + copter[at + len(unknown) :])
+    (fix,) = [fix for fix in of(GnssFix, found) if fix.alt_ellipsoid_m is None]
+    assert fix.speed_accuracy_mps is None
+    assert fix.horizontal_accuracy_m == pytest.approx(0.9)
+
+
+@pytest.mark.parametrize(
+    ("number", "odd", "name"),
+    [
+        (logs.ALT_M + 148.0, math.nan, "alt_m"),
+        (math.radians(270.0), math.inf, "velocity_ned_mps"),
+        (40.0, math.nan, "velocity_ned_mps"),
+    ],
+)
+def test_traffic_without_a_number_keeps_its_place(copter: bytes, number: float, odd: float, name: str):
+    found, about = read(copter.replace(struct.pack("<f", number), struct.pack("<f", odd)))
+    traffic = of(AdsbVehicle, found)
+    assert len(traffic) == logs.SECONDS
+    assert {getattr(one, name) for one in traffic} == {None}
+    assert about.counts.bad_values == 0
 
 
 def test_positions_relative_to_an_origin_appended_data_and_damage(tmp_path: Path):

@@ -55,6 +55,11 @@ def test_areas_in_order_without_the_return_point(frame: int) -> None:
     )
 
 
+def test_long_edges_are_divided() -> None:
+    (area,) = areas(*polygon(POLYGON_IN, (47.4, 179.9), (47.4, -179.8), (47.39, 179.9)))
+    assert area.points[:3] == ((47.4, 179.9), (47.4, pytest.approx(179.96)), (47.4, pytest.approx(-179.98)))
+
+
 def test_no_items_no_areas() -> None:
     assert areas() == ()
     assert areas(item(RETURN, 0.0)) == ()

@@ -121,6 +121,19 @@ def test_silence_ends_in_a_refusal_that_says_what_is_missing(px4: Scripted) -> N
     assert refused == MissionRefused(reason="item 1 of 4 was not received after 5 tries")
 
 
+def test_a_mission_that_takes_too_long_is_refused_for_that(px4: Scripted) -> None:
+    """Each item is answered at the first try, so a number of tries explained nothing."""
+    start(px4)
+    events: list[Event] = px4.says(count(2000))
+    for seq in range(2000):
+        if events:
+            break
+        events = [*px4.says(item(seq)), *px4.after(0.1)]
+    (refused,) = events
+    assert refused.reason.startswith("item 60")
+    assert refused.reason.endswith(" of 2000 was not received within 60 s")
+
+
 def test_a_refusing_vehicle_is_quoted(px4: Scripted) -> None:
     start(px4)
     (refused,) = px4.says(mavlink.MAVLink_mission_ack_message(1, 191, 14, 0))
