@@ -108,7 +108,9 @@ def _approach(folder: ET.Element, pair: Separation, ways: Flown) -> None:
     geometry = _add(mark, "MultiGeometry")
     point = _add(geometry, "Point")
     _add(point, "altitudeMode", "absolute")
-    _add(point, "coordinates", _coordinates(places.mean(axis=0)[None, :]))
+    # Not the mean of the longitudes, which is on the other side of the Earth beside the antimeridian.
+    middle = to_geodetic(np.mean(both, axis=0)[None, :], ways.origin)
+    _add(point, "coordinates", _coordinates(middle))
     line = _add(geometry, "LineString")
     _add(line, "altitudeMode", "absolute")
     _add(line, "coordinates", _coordinates(places))

@@ -120,6 +120,19 @@ def test_a_geometric_altitude_is_not_compared_while_the_undulation_is_unknown(tm
     assert "at an unknown height" in headline.verdicts(figures)[0]
 
 
+@pytest.mark.parametrize(("fix_type", "ellipsoid_m"), [(3, 5450.0), (2, 498.0)])
+def test_an_ellipsoidal_altitude_that_cannot_be_true_is_not_used(tmp_path, fix_type, ellipsoid_m):
+    gnss = GnssFix(
+        fix_type=fix_type,
+        lat_deg=HOME.lat_deg,
+        lon_deg=HOME.lon_deg,
+        alt_msl_m=450.0,
+        alt_ellipsoid_m=ellipsoid_m,
+    )
+    figures = heard(tmp_path, gnss, adsb(0.0, 100.0, 48.0, alt_geometric=True))
+    assert figures["aircraft"][0]["traffic"][0]["nearest"]["above_m"] is None
+
+
 def test_the_own_transponder_and_the_own_remote_id_are_no_traffic(tmp_path):
     figures = heard(tmp_path, adsb(0.0, 0.0, 0.0, icao=0x4B1234), remote_id("ONE", 0.0, 0.0))
     assert figures["aircraft"][0]["traffic"] == []

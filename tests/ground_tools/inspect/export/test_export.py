@@ -5,6 +5,7 @@ import csv
 import dataclasses
 import json
 import math
+import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +19,7 @@ from rosbags.highlevel import AnyReader
 
 from companion.config import AvoidanceConfig, Config, IdentityConfig
 from companion.errors import ConfigError
+from companion.geometry import LocalFrame
 from companion.toml_reader import without_none
 from ground_tools.inspect.explain import manoeuvres
 from ground_tools.inspect.export import export, incident
@@ -309,6 +311,21 @@ def test_kml_is_what_google_earth_reads(run_folder: Path, tmp_path: Path) -> Non
 def test_options_that_do_not_go_together(run_folder: Path, options: tuple[str, ...], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         run_export(run_folder, *options)
+
+
+def test_the_place_of_a_closest_approach_is_between_both_at_the_antimeridian(
+    tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = tmp_path / "run"
+    monkeypatch.setattr(sys.modules[made.write_events.__module__], "HOME", LocalFrame(10.0, 180.0, 5.0))
+    flown = made.steps.__wrapped__
+    made.write_events(run, "ONE", flown(made.northbound, made.eastbound(10.0)))
+    made.write_events(run, "TWO", flown(made.eastbound(10.0), made.northbound))
+    run_export(run, "--kml", tmp_path / "run.kml")
+    (lon, _, _) = (
+        ET.parse(tmp_path / "run.kml").getroot().findtext(f".//{{{KML}}}Point/{{{KML}}}coordinates") or ""
+    ).split(",")
+    assert abs(float(lon)) == pytest.approx(180.0, abs=0.01)
 
 
 def test_a_run_without_utc_has_no_kml(tmp_path: Path, made: SimpleNamespace) -> None:
