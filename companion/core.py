@@ -24,6 +24,7 @@ from companion.config import Config
 from companion.decider import Decider
 from companion.events import (
     AdsbVehicle,
+    AirPressure,
     Attitude,
     ClockRead,
     Command,
@@ -34,9 +35,11 @@ from companion.events import (
     GateAuthority,
     GateRefused,
     GlobalPosition,
+    GnssFix,
     Heartbeat,
     InputBehind,
     Landed,
+    LandedState,
     LocalPosition,
     MissionDownloaded,
     MissionRefused,
@@ -55,6 +58,7 @@ from companion.events import (
     Severity,
     TwoAutopilots,
     VehicleParameters,
+    VehicleTime,
     VelocitySetpoint,
 )
 from companion.geometry import LocalFrame
@@ -163,7 +167,7 @@ class Companion:
         own = self.own
         behind: InputBehind | None = None
         for event in events:
-            if isinstance(event, InputBehind):
+            if type(event) is InputBehind:
                 behind = event
                 break
         sent_s = now_s if behind is None else min(behind.since_s, now_s)
@@ -179,9 +183,13 @@ class Companion:
                 case LocalPosition():
                     own.observe(event, now_s, sent_s)
                     sensed.append(event)
+                case RcChannels():
+                    self._control.note_sticks(event)
                 case RemoteIdHeard():
                     heard.append(event)
                     self.broadcaster.observe(event, now_s)
+                case LandedState() | GnssFix() | AirPressure() | VehicleTime():
+                    own.observe(event, now_s, sent_s)
                 case AdsbVehicle():
                     if not is_published(event):
                         seen.append(event)
@@ -210,8 +218,6 @@ class Companion:
                     commands += self._readiness.two_autopilots_heard(event)
                 case SecondCompanion():
                     commands += self._readiness.second_companion_heard(event)
-                case RcChannels():
-                    self._control.note_sticks(event)
                 case Settings():
                     commands += self._take_settings(event)
                 case GateRefused():

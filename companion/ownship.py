@@ -195,18 +195,18 @@ class Ownship:
         """
         sent_s = now_s if sent_s is None else sent_s
         match event:
-            case Heartbeat():
-                self.heartbeat, self.heartbeat_s = event, sent_s
-            case CurrentMode():
-                # This does not count as a sign of life; only the heartbeat does.
-                if self.heartbeat is not None:
-                    self.heartbeat = in_mode(self.heartbeat, event.custom_mode)
             case GlobalPosition():
                 self._take_position(event, now_s)
             case LocalPosition():
                 # A velocity that is dated far ahead would block all later ones.
                 if event.time_boot_s <= self._clock.newest.boot_s + _REBOOT_S:
                     self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
+            case Heartbeat():
+                self.heartbeat, self.heartbeat_s = event, sent_s
+            case CurrentMode():
+                # This does not count as a sign of life; only the heartbeat does.
+                if self.heartbeat is not None:
+                    self.heartbeat = in_mode(self.heartbeat, event.custom_mode)
             case GnssFix():
                 self.gnss, self._gnss_s = event, sent_s
                 if event.alt_ellipsoid_m is not None and event.fix_type >= 3:
