@@ -333,12 +333,14 @@ def _tick(
     ether: Ether,
     read: Callable[[str, str, bytes], RemoteIdHeard | None],
 ) -> None:
+    # All aircraft do one thing before any does the next: the processor's caches then hold the code of it.
     for aircraft in fleet:
         sensor = aircraft.vehicle.sensor
         if sensor is not None:
             others = (other.vehicle for other in fleet if other is not aircraft)
             sensor.others = [(other.position_ned_m, other.velocity_ned_mps) for other in others]
         aircraft.vehicle.advance(now_s)
+    for aircraft in fleet:
         data = aircraft.vehicle.drain()
         if data:
             aircraft.onboard.receive(data, now_s)
@@ -354,4 +356,5 @@ def _tick(
                 ether.transmit(
                     now_s, aircraft.name, broadcast.transport, frame, address=aircraft.sender.address
                 )
+    for aircraft in fleet:
         aircraft.vehicle.receive(aircraft.onboard.drain(now_s), now_s)
