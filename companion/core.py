@@ -301,7 +301,7 @@ class Companion:
         commands += self._publish(now_s)
         own, readiness = self.own, self._readiness
         commands += readiness.look(now_s, shown)
-        if readiness.down(now_s, shown):
+        if readiness.down:
             commands += self.plan.check(own, now_s)
             self.plan.drop()
         standby = self.state is State.STANDBY
