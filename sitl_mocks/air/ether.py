@@ -13,6 +13,7 @@ import heapq
 import math
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 import pymap3d
 
@@ -32,8 +33,7 @@ REST = ("*", "*")
 """Key of the statistics of all pairs beyond `MAX_PAIRS`."""
 
 
-@dataclass(frozen=True, slots=True)
-class Delivery:
+class Delivery(msgspec.Struct, frozen=True):
     """One frame that arrives at one receiver."""
 
     receiver: str
@@ -58,8 +58,7 @@ class _OnAir:
     undecided: set[str]
 
 
-@dataclass(slots=True)
-class _UnderWay:
+class _UnderWay(msgspec.Struct):
     """A delivery, and whether its frame contains a position."""
 
     delivery: Delivery
