@@ -26,6 +26,7 @@ from companion.config import Config
 from companion.decider import Decider
 from companion.events import (
     AdsbVehicle,
+    AirPressure,
     Attitude,
     ClockRead,
     Command,
@@ -36,9 +37,11 @@ from companion.events import (
     GateAuthority,
     GateRefused,
     GlobalPosition,
+    GnssFix,
     Heartbeat,
     InputBehind,
     Landed,
+    LandedState,
     LocalPosition,
     MissionDownloaded,
     MissionRefused,
@@ -179,7 +182,7 @@ class Companion:
         own = self.own
         behind: InputBehind | None = None
         for event in events:
-            if isinstance(event, InputBehind):
+            if type(event) is InputBehind:
                 behind = event
                 break
         sent_s = now_s if behind is None else min(behind.since_s, now_s)
@@ -195,9 +198,13 @@ class Companion:
                 case LocalPosition():
                     own.observe(event, now_s, sent_s)
                     sensed.append(event)
+                case RcChannels():
+                    self._control.note_sticks(event)
                 case RemoteIdHeard():
                     heard.append(event)
                     self.broadcaster.observe(event, now_s)
+                case LandedState() | GnssFix() | AirPressure() | VehicleTime():
+                    own.observe(event, now_s, sent_s)
                 case AdsbVehicle():
                     if not is_published(event):
                         seen.append(event)
@@ -226,8 +233,6 @@ class Companion:
                     commands += self._readiness.two_autopilots_heard(event)
                 case SecondCompanion():
                     commands += self._readiness.second_companion_heard(event)
-                case RcChannels():
-                    self._control.note_sticks(event)
                 case Settings():
                     commands += self._take_settings(event)
                 case GateRefused():
@@ -311,7 +316,7 @@ class Companion:
         commands += self._publish(now_s)
         own, readiness = self.own, self._readiness
         commands += readiness.look(now_s, shown)
-        if readiness.down(now_s, shown):
+        if readiness.down:
             commands += self.plan.check(own, now_s)
             self.plan.drop()
         standby = self.state is State.STANDBY

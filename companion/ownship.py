@@ -183,6 +183,8 @@ class Ownship:
     _velocity_boot_s: float = -math.inf
     _position_heard_s: float = -math.inf
     _sample_ned_m: Vec3 = (0.0, 0.0, 0.0)
+    _sample_s: float = -math.inf
+    """What `sample_s` returns. It changes only with events, and is asked for seven times a step."""
     _upset_s: float = -math.inf
     _upset: str = ""
 
@@ -195,18 +197,18 @@ class Ownship:
         """
         sent_s = now_s if sent_s is None else sent_s
         match event:
-            case Heartbeat():
-                self.heartbeat, self.heartbeat_s = event, sent_s
-            case CurrentMode():
-                # This does not count as a sign of life; only the heartbeat does.
-                if self.heartbeat is not None:
-                    self.heartbeat = in_mode(self.heartbeat, event.custom_mode)
             case GlobalPosition():
                 self._take_position(event, now_s)
             case LocalPosition():
                 # A velocity that is dated far ahead would block all later ones.
                 if event.time_boot_s <= self._clock.newest.boot_s + _REBOOT_S:
                     self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
+            case Heartbeat():
+                self.heartbeat, self.heartbeat_s = event, sent_s
+            case CurrentMode():
+                # This does not count as a sign of life; only the heartbeat does.
+                if self.heartbeat is not None:
+                    self.heartbeat = in_mode(self.heartbeat, event.custom_mode)
             case GnssFix():
                 self.gnss, self._gnss_s = event, sent_s
                 if event.alt_ellipsoid_m is not None and event.fix_type >= 3:
@@ -230,6 +232,8 @@ class Ownship:
                     self.boot_to_utc_s = event.utc_s - event.time_boot_s
             case _:
                 pass
+        if self.position is not None and self._clock.offset_s is not None:
+            self._sample_s = min(self.position.time_boot_s + self._clock.offset_s, self._position_heard_s)
 
     def _take_pressure(self, event: AirPressure, now_s: float) -> None:
         if self.position is not None:
@@ -337,8 +341,7 @@ class Ownship:
         younger.
         """
         assert self.position is not None
-        assert self._clock.offset_s is not None
-        return min(self.position.time_boot_s + self._clock.offset_s, self._position_heard_s)
+        return self._sample_s
 
     @property
     def utc_offset_s(self) -> float | None:
@@ -349,12 +352,12 @@ class Ownship:
 
     def age_s(self, now_s: float) -> float:
         """Age of the last position (s); infinite if there is none."""
-        return math.inf if self.position is None else now_s - self.sample_s()
+        return math.inf if self.position is None else now_s - self._sample_s
 
     def position_ned_m(self, now_s: float) -> Vec3:
         """Position extrapolated to `now_s` with the own velocity (local NED, m). Needs a position."""
         p, v = self._sample_ned_m, self.velocity_ned_mps
-        age = now_s - self.sample_s()
+        age = now_s - self._sample_s
         return p[0] + age * v[0], p[1] + age * v[1], p[2] + age * v[2]
 
     def pressure_alt_m(self, now_s: float) -> float | None:
@@ -364,7 +367,7 @@ class Ownship:
         if now_s - self._pressure_s > _PRESSURE_LOST_S:
             return None
         # Far from its origin, the frame's tangent plane lies above the ground: 126 m at 40 km.
-        climbed_m = -(now_s - self.sample_s()) * self.velocity_ned_mps[2]
+        climbed_m = -(now_s - self._sample_s) * self.velocity_ned_mps[2]
         return self.position.alt_msl_m + climbed_m + self.pressure_above_m
 
     def gnss_now(self, now_s: float) -> GnssFix | None:

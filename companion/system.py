@@ -49,9 +49,9 @@ from companion.gate.gate import STALL_S, Gate
 _SAY_AGAIN_S = 5.0
 """Least time between two messages to the pilot about the same rule of the gate."""
 _HOLDING = frozenset(state.value for state in HOLDING)
-_REQUESTS = (DownloadMission, DownloadFence)
+_REQUESTS = frozenset({DownloadMission, DownloadFence})
 """Commands of the core that only request data from the vehicle."""
-_COMMANDS = (VelocitySetpoint, SetMode, SetSpeed, Say, ArmStatus, Threat, TrafficReport)
+_COMMANDS = frozenset({VelocitySetpoint, SetMode, SetSpeed, Say, ArmStatus, Threat, TrafficReport})
 """Commands of the core that are not sent to the vehicle in a dry run or a replay (`commanding=False`)."""
 
 
@@ -177,7 +177,8 @@ class CompanionSystem:
         self.gate.decided(now_s)
         commands = self.core.step(now_s, events)
         for command in commands:
-            if isinstance(command, _REQUESTS) or (self.commanding and isinstance(command, _COMMANDS)):
+            kind = type(command)
+            if kind in _REQUESTS or (self.commanding and kind in _COMMANDS):
                 self.link.send(command, now_s)
             elif isinstance(command, AuthorityChanged) and command.state not in _HOLDING:
                 self.link.cancel_mode()
@@ -189,7 +190,7 @@ class CompanionSystem:
                     commands=cast("tuple[AnyCommand, ...]", tuple(commands)),
                 )
             )
-        broadcasts = [c for c in commands if isinstance(c, Broadcast)]
+        broadcasts = [c for c in commands if type(c) is Broadcast]
         if self.signer is None:
             return broadcasts
         known = self.core.own.utc_offset_s

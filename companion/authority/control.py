@@ -281,7 +281,7 @@ class Control:
             found[Trigger.PILOT] = foreign
         if unfit is not None or self._refused.mode is not None:
             found[Trigger.UNFIT] = None
-        if self._readiness.down(now_s, shown):
+        if self._readiness.down:
             found[Trigger.RELEASE] = None
         if now_s >= self._healthy_s:
             found[Trigger.HEALTHY] = None

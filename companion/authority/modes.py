@@ -152,7 +152,7 @@ class LateRequests:
     def note(self, commands: Sequence[Command], now_s: float) -> None:
         """Note the mode requests among commands."""
         for command in commands:
-            if isinstance(command, SetMode) and self._own.heartbeat is not None:
+            if type(command) is SetMode and self._own.heartbeat is not None:
                 self._asked[command.mode] = now_s
                 self._from.add(self._own.heartbeat.custom_mode)
 

@@ -56,6 +56,9 @@ class Readiness:
         """Why there is another companion that may command the vehicle; None if there is none."""
         self.lost: str | None = None
         """Why the gate blocks all commands until authority is given back; None if it does not."""
+        self.down = False
+        """The vehicle was on the ground or disarmed since the last step, if only for a moment. False if it
+        was never heard."""
         self.disarmed = False
         """The vehicle was disarmed since the last step, and not because its autopilot restarted in flight."""
         self._flew = False
@@ -97,7 +100,7 @@ class Readiness:
         return [Say(severity=Severity.WARNING, text=f"DMUCA: cannot take control: {event.lost}")]
 
     def look(self, now_s: float, shown: Sequence[Heartbeat]) -> list[Command]:
-        """Note whether the vehicle has been heard, and whether it has been on the ground or disarmed.
+        """Note once a step whether the vehicle has been heard, and been on the ground or disarmed.
 
         Returns a message if it must land first, once: after a restart in flight the pilot would otherwise
         rely on a companion that does nothing.
@@ -107,24 +110,24 @@ class Readiness:
         """
         if self._found_s is None and shown:
             self._found_s = now_s
-        self._note_disarmed(now_s, shown)
-        down = self.disarmed or (self._unseen_s is None and self.down(now_s, shown))
-        self._seen_down = self._seen_down or down
-        flies = self._own.armed and self._own.landed(now_s) is Landed.IN_AIR
+        disarmed, landed = was_disarmed(shown), self._own.landed(now_s)
+        self.down = disarmed or (bool(shown) and landed is Landed.ON_GROUND)
+        self._note_disarmed(now_s, disarmed, landed)
+        self._seen_down = self._seen_down or self.disarmed or (self._unseen_s is None and self.down)
+        flies = self._own.armed and landed is Landed.IN_AIR
         if self._seen_down or self._flying_told or not flies:
             return []
         self._flying_told = True
         return [Say(severity=Severity.WARNING, text=f"DMUCA: cannot take control: {_FLYING_ALREADY}")]
 
-    def _note_disarmed(self, now_s: float, shown: Sequence[Heartbeat]) -> None:
+    def _note_disarmed(self, now_s: float, disarmed: bool, landed: Landed) -> None:
         """Update `disarmed`. After a silence in flight, it may be a restarted autopilot that is disarmed."""
-        own, landed = self._own, self._own.landed(now_s)
+        own = self._own
         seen = own.age_s(now_s) <= _UNSEEN_S
         if not seen and self._flew:
             self._unseen_s = now_s
         elif seen and own.armed and self._unseen_s is not None and own.heartbeat_s > self._unseen_s:
             self._unseen_s = None
-        disarmed = was_disarmed(shown)
         self._disarmed_s = min(self._disarmed_s, now_s) if disarmed else math.inf
         lasted = own.heartbeat_s - self._disarmed_s >= _FALLEN_S
         self.disarmed = disarmed and (self._unseen_s is None or lasted)
@@ -132,14 +135,6 @@ class Readiness:
             self._flew, self._unseen_s = False, None
         elif own.armed and landed is not Landed.UNDEFINED:
             self._flew = landed is not Landed.ON_GROUND
-
-    def down(self, now_s: float, shown: Sequence[Heartbeat]) -> bool:
-        """Whether the vehicle is on the ground or disarmed, if only for a moment.
-
-        Args:
-            shown: reported modes, as in `Control.step`. If empty, the result is False.
-        """
-        return was_disarmed(shown) or (bool(shown) and self._own.landed(now_s) is Landed.ON_GROUND)
 
     def mode_is_ours_to_end(self, heartbeat: Heartbeat, ours: frozenset[FlightMode]) -> bool:
         """Whether the vehicle may be taken from the mode in this heartbeat.

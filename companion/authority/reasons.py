@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 from companion.authority.handback import HandBack
 from companion.authority.readiness import mode_name
@@ -24,8 +24,7 @@ _REASONS = {
 """Reason texts of the triggers that have only one."""
 
 
-@dataclass
-class Refused:
+class Refused(msgspec.Struct):
     """Texts of what was refused since the last step; None where nothing was."""
 
     mode: str | None = None

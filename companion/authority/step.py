@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Protocol
+
+import msgspec
 
 from companion.authority.table import State
 from companion.avoidance.law import LawResult
@@ -28,7 +30,7 @@ class Cycle(Protocol):
         """Alerts, messages and log entries about the decision just made."""
 
 
-class Step(NamedTuple):
+class Step(msgspec.Struct, frozen=True):
     """Result of one step."""
 
     commands: list[Command]

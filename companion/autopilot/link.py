@@ -269,17 +269,17 @@ class AutopilotLink:
         if event is None:
             self.counts.no_position += 1
             return
-        if isinstance(event, GlobalPosition):
+        if type(event) is GlobalPosition:
             self._nose.heard(fields[8])
-        if isinstance(event, MissionCurrent):
+        if type(event) is MissionCurrent:
             self._downloads.on_current(event, now_s)
         if isinstance(event, _STAMPED):
             self._order.stamped(frame.sequence, event.time_boot_s)
             self._on_boot_time(event.time_boot_s, now_s)
-        if isinstance(event, CurrentMode) and self._order.is_overtaken(frame.sequence):
+        if type(event) is CurrentMode and self._order.is_overtaken(frame.sequence):
             event = msgspec.structs.replace(event, overtaken=True)
         self._events.append(event)
-        if isinstance(event, CurrentMode):
+        if type(event) is CurrentMode:
             self._mode_and_speed.on_current_mode(event, now_s)
 
     def _on_boot_time(self, time_boot_s: float, now_s: float) -> None:

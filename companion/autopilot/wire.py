@@ -13,8 +13,9 @@ from __future__ import annotations
 import re
 import struct
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
+import msgspec
 from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -68,7 +69,7 @@ class WireCounts:
     """Bytes outside any frame."""
 
 
-class Frame(NamedTuple):
+class Frame(msgspec.Struct, frozen=True, gc=False):
     """One frame, cut into its parts."""
 
     message_id: int
@@ -98,9 +99,10 @@ def frame_length(buffer: bytes, at: int) -> int:
         return 0
     if magic == MAGIC_V1:
         return buffer[at + 1] + 8
-    if magic != MAGIC_V2 or buffer[at + 2] & ~_SIGNED:
+    flags = buffer[at + 2]
+    if magic != MAGIC_V2 or flags > _SIGNED:
         return -1
-    return buffer[at + 1] + 12 + (SIGNATURE_BYTES if buffer[at + 2] & _SIGNED else 0)
+    return buffer[at + 1] + 12 + flags * SIGNATURE_BYTES
 
 
 def is_signed(raw: bytes) -> bool:

@@ -188,6 +188,8 @@ class Law:
         self._planned = self._trajectory = trajectory
         self._settings = settings_of(avoidance, limits, trajectory)
         self._state = k.first_state(self._settings, 0)
+        self._samples = 0
+        """Number of samples in the history, also of those since the last decision."""
         self._history = np.zeros(k.HISTORY_SAMPLES), np.zeros((k.HISTORY_SAMPLES, 3))
         self._room(32)
 
@@ -217,7 +219,7 @@ class Law:
         """
         self._planned = self._trajectory = trajectory
         self._settings = settings_of(*self._configured, trajectory)
-        self._state = k.first_state(self._settings, self._state.samples)
+        self._state = k.first_state(self._settings, self._samples)
 
     def enclose(self, walls: Floats) -> None:
         """Keep further walls from the next decision on, besides those of the fence.
@@ -232,8 +234,7 @@ class Law:
     def note_velocity(self, now_s: float, velocity_ned_mps: Vec3) -> None:
         """Add an own velocity between decisions; ignored if it is not newer than the last, or not finite."""
         n, e, d = map(float, velocity_ned_mps)
-        samples = k.note_velocity(*self._history, self._state.samples, float(now_s), (n, e, d))
-        self._state = k.State(*self._state[:-1], samples)
+        self._samples = k.note_velocity(*self._history, self._samples, float(now_s), (n, e, d))
 
     def decide(self, situation: Situation) -> LawResult:
         """Make one decision.
@@ -245,9 +246,10 @@ class Law:
         usable = self._take(situation.neighbours)
         chosen, wanted, solved, flags, (hard, first), state = k.decide_plain(
             self._table, len(usable), own, self._planned.arrays, self._fence, (*self._settings,),
-            ((*self._state.command,), *self._state[1:]), self._history, (*self._work,),
+            ((*self._state.command,), *self._state[1:-1], self._samples), self._history, (*self._work,),
         )  # fmt: skip
         self._state, self._solved, self._hard = k.State(k.Vector(*state[0]), *state[1:]), solved, hard
+        self._samples = self._state.samples
         feasible, conflict, recovering, *bounds = flags
         return LawResult(
             wanted_ned_mps=wanted,

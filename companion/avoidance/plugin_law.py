@@ -101,7 +101,7 @@ class PluginLaw(Law):
         chosen, _, solved, flags, (hard, first), state = k.decide_plain(
             self._table, 0, ((n, e, d), velocity, sigma, now_s, path_s, floor_d, ceiling_d), self._ahead,
             self._fence, (*self._settings._replace(law=float(k.DMUCA), turn_s=_HALF_S, catch_up_s=0.0),),
-            ((*flown.command,), *flown[1:-1], self._state.samples), self._history, (*self._work,),
+            ((*flown.command,), *flown[1:-1], self._samples), self._history, (*self._work,),
         )  # fmt: skip
         self._flown = k.State(k.Vector(*state[0]), *state[1:])
         feasible, _, _, *bounds = flags

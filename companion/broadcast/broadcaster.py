@@ -147,7 +147,7 @@ class Broadcaster:
         if self._floor is None or self._floor[0] is not self._asked or self._floor[1] != can_send:
             self._floor = self._asked, can_send, keep_floor(self._asked, self._config.region, can_send)
         self._decided = self._floor[2]
-        on_air = frozenset() if self.gives_way else self._schedule.on_air.keys()
+        on_air = frozenset() if self.gives_way else self._schedule.on_air
         self._silent = self._monitor.silent(on_air, self._monitored, now_s)
         if own.heartbeat is None:
             return commands
@@ -194,10 +194,12 @@ class Broadcaster:
             reason = f"the vehicle's own Remote ID module (component {module.component_id}) broadcasts"
         else:
             reason = self._decided.reason
-        told = (tuple(sorted(rates.items())), self._decided.legal, reason, trouble)
+        legal = self._decided.legal
+        told = (rates, legal, reason, trouble)
         if told != self._told:
             self._told = told
-            commands.append(BroadcastChanged(rates=told[0], legal=told[1], reason=trouble or reason))
+            listed = tuple(sorted(rates.items()))
+            commands.append(BroadcastChanged(rates=listed, legal=legal, reason=trouble or reason))
 
     def _tell_pilot(self, trouble: str | None, commands: list[Command], now_s: float) -> None:
         """Report trouble, and later its end, to the pilot. `_TELL_PERIOD_S` and `_WELL_AFTER_S` limit the

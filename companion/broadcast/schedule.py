@@ -8,7 +8,7 @@ and looking ahead by one step. A transport that is given up stays on the air wit
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
 from companion.broadcast.legal_floor import MARGIN, longest_period_s
@@ -65,9 +65,9 @@ class Schedule:
         """Results of `_limits_s`, which are the same at most steps."""
 
     @property
-    def on_air(self) -> dict[str, int]:
-        """Transports in use, with their requested rates. Those that are about to leave are included."""
-        return {transport: lane.rate for transport, lane in self._lanes.items()}
+    def on_air(self) -> Set[str]:
+        """Transports in use. Those that are about to leave are included."""
+        return self._lanes.keys()
 
     def stop(self) -> None:
         """Take all transports off the air. They begin anew when they are wanted again."""

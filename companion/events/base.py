@@ -1,4 +1,8 @@
-"""The two kinds of values that the core exchanges with everything around it: events and commands."""
+"""The two kinds of values that the core exchanges with everything around it: events and commands.
+
+No class of an event or command has subclasses. Code that runs for each of them therefore compares types:
+`isinstance` is five times as slow for a msgspec Struct that is of another type.
+"""
 
 from __future__ import annotations
 

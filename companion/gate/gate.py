@@ -98,7 +98,7 @@ _FREE = frozenset(
 """Messages that command nothing and may always be sent."""
 _PUBLISHED = frozenset({mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE})
 """Sent only with traffic.publish: an autopilot may act on them by itself."""
-_OF_THE_VEHICLE = (GlobalPosition, LocalPosition, VehicleTime, Heartbeat, CurrentMode, LandedState)
+_OF_THE_VEHICLE = frozenset({GlobalPosition, LocalPosition, VehicleTime, Heartbeat, CurrentMode, LandedState})
 _FILES = mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
 _FILES_OPCODE_AT = 6
 _FILES_ANSWERS = (mavlink.MAV_FTP_OPCODE_ACK, mavlink.MAV_FTP_OPCODE_NAK)
@@ -164,7 +164,7 @@ class Gate:
 
     def hear(self, event: Event, now_s: float) -> None:
         """Take in one event of the link. Irrelevant events are ignored."""
-        if isinstance(event, _OF_THE_VEHICLE):
+        if type(event) in _OF_THE_VEHICLE:
             self._note_heard(now_s)
         match event:
             case GlobalPosition():

@@ -7,8 +7,8 @@ brings the message nearest to our own UTC.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+
+import msgspec
 
 from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.messages import Location
@@ -30,8 +30,7 @@ ALTITUDES_M = (-500.0, 20_000.0)
 at our height, would be avoided nowhere."""
 
 
-@dataclass(slots=True)
-class Fix:
+class Fix(msgspec.Struct):
     """A Location converted into our local frame (NED) and to our clock."""
 
     position: Vec3
@@ -120,7 +119,7 @@ def _velocity(message: Location) -> Vec3 | None:
 # ---------------------------------------------------------------- what a fix says of its aircraft
 
 
-class Belief(NamedTuple):
+class Belief(msgspec.Struct, frozen=True):
     """A state in which a track was reported; NED."""
 
     at_s: float
@@ -171,7 +170,9 @@ def hold(
         if belief is agreeing or belief.agrees(told):
             news = told.told_s - belief.told_s >= least_s
             kept = told if news else belief
-            beliefs[number] = kept if kept.agreed_s == now_s else kept._replace(agreed_s=now_s)
+            beliefs[number] = (
+                kept if kept.agreed_s == now_s else msgspec.structs.replace(kept, agreed_s=now_s)
+            )
             return
     beliefs.append(told)
 

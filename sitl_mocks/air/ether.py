@@ -11,11 +11,14 @@ from __future__ import annotations
 
 import heapq
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 import pymap3d
 
+from companion.events import RemoteIdHeard
 from companion.geometry import Vec3
 from companion.radio.frames_io import FrameReceiver
 from companion.remote_id.messages import Location
@@ -32,8 +35,7 @@ REST = ("*", "*")
 """Key of the statistics of all pairs beyond `MAX_PAIRS`."""
 
 
-@dataclass(frozen=True, slots=True)
-class Delivery:
+class Delivery(msgspec.Struct, frozen=True):
     """One frame that arrives at one receiver."""
 
     receiver: str
@@ -58,8 +60,7 @@ class _OnAir:
     undecided: set[str]
 
 
-@dataclass(slots=True)
-class _UnderWay:
+class _UnderWay(msgspec.Struct):
     """A delivery, and whether its frame contains a position."""
 
     delivery: Delivery
@@ -73,9 +74,17 @@ class Ether:
         channel: decides delay and loss of every frame for every receiver.
         rng: random generator for the channel.
         max_pending: largest number of frames in transit.
+        read: reads a frame, as `FrameReceiver.receive` does; None: with a receiver of its own.
     """
 
-    def __init__(self, channel: Channel, rng: np.random.Generator, *, max_pending: int = MAX_PENDING) -> None:
+    def __init__(
+        self,
+        channel: Channel,
+        rng: np.random.Generator,
+        *,
+        max_pending: int = MAX_PENDING,
+        read: Callable[[str, str, bytes], RemoteIdHeard | None] | None = None,
+    ) -> None:
         self._channel = channel
         self._rng = rng
         self._max_pending = max_pending
@@ -92,7 +101,7 @@ class Ether:
         # Earth-centred position on the ellipsoid, so that two positions need no common origin, and altitude.
         self._carried: dict[str, tuple[Vec3, float | None]] = {}
         self._stats: dict[tuple[str, str], PairStats] = {}
-        self._reader = FrameReceiver()
+        self._read = FrameReceiver().receive if read is None else read
 
     def join(self, receiver: str) -> None:
         """Let `receiver` hear what others send from now on. Joining twice changes nothing."""
@@ -305,7 +314,7 @@ class Ether:
 
         The position is kept if `place` has never set one for the sender.
         """
-        heard = self._reader.receive(transport, address, frame)
+        heard = self._read(transport, address, frame)
         found = False
         for message in heard.messages if heard is not None else ():
             if isinstance(message, Location) and message.lat_deg is not None and message.lon_deg is not None:

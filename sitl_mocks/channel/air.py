@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+import msgspec
 import numpy as np
 
 
@@ -29,8 +30,7 @@ class Transmission:
     """Slant distance by receiver; None where it is unknown."""
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(msgspec.Struct, frozen=True):
     """Result of one frame at one receiver."""
 
     number: int

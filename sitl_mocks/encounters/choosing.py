@@ -158,9 +158,9 @@ class Chosen:
     def add_step(self, step: Step) -> None:
         """Update from a step of the companion core."""
         for command in step.commands:
-            if isinstance(command, BroadcastChanged):
+            if type(command) is BroadcastChanged:
                 self.note(step.now_s, {name: int(rate) for name, rate in command.rates})
-            elif isinstance(command, TransportsChosen):
+            elif type(command) is TransportsChosen:
                 self.end(step.now_s)
                 self._by_fallback = command.by == "fallback"
 

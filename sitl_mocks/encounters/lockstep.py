@@ -53,7 +53,8 @@ _PREFIX = "1596"
 _OPERATOR_EU = "FIN87astrdge12k8-xyz"
 """Sample operator number of ASD-STAN EN 4709-002."""
 _DECODED = 4096
-"""Number of decoded frames that are cached, because all receivers of one frame decode the same bytes."""
+"""Number of decoded frames that are cached, because the air and all receivers of one frame decode the
+same bytes."""
 SETTLE_S = 3.0
 """Time for the companions to connect to their vehicles and take control, before the paths' clock starts."""
 
@@ -261,7 +262,8 @@ def fly(
         for number, (name, path) in enumerate(zip(names_of(scenario, seed), paths, strict=True))
     ]
     channel = channel_of(scenario.air, scenario.channel)
-    ether = Ether(channel, np.random.default_rng(streams[-1]))
+    read = lru_cache(_DECODED)(FrameReceiver().receive)
+    ether = Ether(channel, np.random.default_rng(streams[-1]), read=read)
     for aircraft in fleet:
         ether.join(aircraft.name)
     end_s = scenario.duration_s or max(float(p[-1, 0]) for p in paths)
@@ -269,7 +271,6 @@ def fly(
     truth = np.empty((len(fleet), ticks, 3))
     by_name = {aircraft.name: aircraft for aircraft in fleet}
     near = {(a.name, name): (math.inf, 0.0) for a in fleet for name in obstacle_names(scenario)}
-    read = lru_cache(_DECODED)(FrameReceiver().receive)
     for tick in range(ticks):
         now_s = tick * TICK_S
         _tick(now_s, fleet, by_name, ether, read)
@@ -333,12 +334,14 @@ def _tick(
     ether: Ether,
     read: Callable[[str, str, bytes], RemoteIdHeard | None],
 ) -> None:
+    # All aircraft do one thing before any does the next: the processor's caches then hold the code of it.
     for aircraft in fleet:
         sensor = aircraft.vehicle.sensor
         if sensor is not None:
             others = (other.vehicle for other in fleet if other is not aircraft)
             sensor.others = [(other.position_ned_m, other.velocity_ned_mps) for other in others]
         aircraft.vehicle.advance(now_s)
+    for aircraft in fleet:
         data = aircraft.vehicle.drain()
         if data:
             aircraft.onboard.receive(data, now_s)
@@ -354,4 +357,5 @@ def _tick(
                 ether.transmit(
                     now_s, aircraft.name, broadcast.transport, frame, address=aircraft.sender.address
                 )
+    for aircraft in fleet:
         aircraft.vehicle.receive(aircraft.onboard.drain(now_s), now_s)

@@ -10,8 +10,8 @@ import math
 import struct
 from collections import deque
 from collections.abc import Mapping
-from typing import NamedTuple
 
+import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.signing import Signing
@@ -45,7 +45,7 @@ _DATA_STREAMS = {
 """Message ids of each stream of REQUEST_DATA_STREAM."""
 
 
-class Payload(NamedTuple):
+class Payload(msgspec.Struct, frozen=True, gc=False):
     """A message whose payload is already packed."""
 
     message_id: int
@@ -64,7 +64,7 @@ def packed(kind: type[MavlinkMessage], *fields: float) -> Payload:
     return Payload(kind.id, kind.unpacker.pack(*fields, *[0] * extensions))
 
 
-class SetpointMessage(NamedTuple):
+class SetpointMessage(msgspec.Struct, frozen=True, gc=False):
     """SET_POSITION_TARGET_LOCAL_NED, fields in wire order (m, m/s, rad; NED or body axes by the frame)."""
 
     time_boot_ms: int
@@ -85,7 +85,7 @@ class SetpointMessage(NamedTuple):
     coordinate_frame: int
 
 
-class TimesyncMessage(NamedTuple):
+class TimesyncMessage(msgspec.Struct, frozen=True, gc=False):
     """TIMESYNC, fields in wire order (ns)."""
 
     tc1: int
@@ -198,11 +198,11 @@ class Link:
                 continue
             if frame.message_id == _SETPOINT_ID:
                 body = frame.payload.ljust(_SETPOINT.size, b"\0")
-                found.append((frame, SetpointMessage._make(_SETPOINT.unpack_from(body))))
+                found.append((frame, SetpointMessage(*_SETPOINT.unpack_from(body))))
                 continue
             if frame.message_id == _TIMESYNC_ID:
                 body = frame.payload.ljust(_TIMESYNC.size, b"\0")
-                found.append((frame, TimesyncMessage._make(_TIMESYNC.unpack_from(body))))
+                found.append((frame, TimesyncMessage(*_TIMESYNC.unpack_from(body))))
                 continue
             try:
                 found.append((frame, self._decoder.decode(bytearray(frame.raw))))

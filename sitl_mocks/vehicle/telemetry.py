@@ -282,23 +282,22 @@ class Telemetry:
         packed = _SIX_FLOATS.pack(self._boot_ms(now_s), *self.attitude_rad(), 0.0, 0.0, 0.0)
         return Payload(mavlink.MAVLINK_MSG_ID_ATTITUDE, packed)
 
-    def _vfr_hud(self, now_s: float) -> MavlinkMessage:
+    def _vfr_hud(self, now_s: float) -> Payload:
         body = self._flight.body
         vn, ve, vd = self.velocity_ned_mps()
         speed = math.hypot(vn, ve)
         heading = round(math.degrees(body.yaw)) % 360
         throttle = 0 if self._flight.on_ground else 50
         altitude = self._options.home_alt_msl_m - self.position_ned_m()[2]
-        return mavlink.MAVLink_vfr_hud_message(speed, speed, heading, throttle, altitude, -vd)
+        return packed(mavlink.MAVLink_vfr_hud_message, speed, speed, altitude, -vd, heading, throttle)
 
-    def _sys_status(self, now_s: float) -> MavlinkMessage:
+    def _sys_status(self, now_s: float) -> Payload:
         sensor = self._options.sensor
         wired = sensor is not None and sensor.message == "proximity"
         there = _SENSORS | (mavlink.MAV_SYS_STATUS_SENSOR_PROXIMITY if wired else 0)
         healthy = _SENSORS if self._troubles.proximity_lost else there
-        return mavlink.MAVLink_sys_status_message(
-            there, there, healthy, 100, self._millivolts, 0, self._percent, 0, 0, 0, 0, 0, 0
-        )
+        numbers = there, there, healthy, 100, self._millivolts, 0, 0, 0, 0, 0, 0, 0, self._percent
+        return packed(mavlink.MAVLink_sys_status_message, *numbers)
 
     @property
     def _percent(self) -> int:
@@ -322,7 +321,7 @@ class Telemetry:
         channels = [*sticks, *[1500] * 4, *[0xFFFF] * 10]
         return packed(mavlink.MAVLink_rc_channels_message, self._boot_ms(now_s), *channels, 8, 200)
 
-    def _estimator_status(self, now_s: float) -> MavlinkMessage:
+    def _estimator_status(self, now_s: float) -> Payload:
         """EKF_STATUS_REPORT or ESTIMATOR_STATUS. Both have the same flag bits, but the constant-position flag
         means "no position" on ArduPilot and "at rest on the ground" on PX4."""
         troubles = self._troubles
@@ -332,12 +331,11 @@ class Telemetry:
         if troubles.position_lost if ardupilot else self._flight.landed is Landed.ON_GROUND:
             flags |= mavlink.ESTIMATOR_CONST_POS_MODE
         if ardupilot:
-            return mavlink.MAVLink_ekf_status_report_message(flags, ratio, ratio, 0.1, 0.1, 0.0)
+            return packed(mavlink.MAVLink_ekf_status_report_message, ratio, ratio, 0.1, 0.1, 0.0, flags)
         accuracy = self._options.gnss_horizontal_sigma_m or _MIN_ACCURACY_M
         usec = round((now_s - self.boot_s) * 1e6)
-        return mavlink.MAVLink_estimator_status_message(
-            usec, flags, ratio, ratio, 0.1, 0.1, 0.0, 0.0, accuracy, accuracy
-        )
+        ratios = ratio, ratio, 0.1, 0.1, 0.0, 0.0
+        return packed(mavlink.MAVLink_estimator_status_message, usec, *ratios, accuracy, accuracy, flags)
 
     def _fence_status(self, now_s: float) -> MavlinkMessage | None:
         troubles = self._troubles
@@ -375,7 +373,7 @@ class Telemetry:
         kind, landed = mavlink.MAVLink_extended_sys_state_message, _LANDED[self._flight.landed]
         return packed(kind, self._manners.vtol_state, landed)
 
-    def _mission_current(self, now_s: float) -> MavlinkMessage:
+    def _mission_current(self, now_s: float) -> Payload:
         flight, total = self._flight, self._book.flown_count
         if not total:
             state = mavlink.MISSION_STATE_NO_MISSION
@@ -388,7 +386,7 @@ class Telemetry:
             state = self._manners.paused_state
         else:
             state = mavlink.MISSION_STATE_NOT_STARTED
-        return mavlink.MAVLink_mission_current_message(flight.runner.seq, total, state, 0)
+        return packed(mavlink.MAVLink_mission_current_message, flight.runner.seq, total, state, 0)
 
     def _timesync(self, now_s: float) -> Payload:
         return packed(mavlink.MAVLink_timesync_message, 0, self.boot_ns(now_s))

@@ -106,6 +106,8 @@ class Traffic:
 
     def _echo(self, link: int) -> list[MavlinkMessage]:
         new = min(self._taken - self._echoed.get(link, 0), len(self.taken))
+        if not new:
+            return []
         self._echoed[link] = self._taken
         messages = [copy(message) for message in list(self.taken)[len(self.taken) - new :]]
         for message in messages:
@@ -114,7 +116,7 @@ class Traffic:
 
     def due(self, link: int, now_s: float) -> list[MavlinkMessage]:
         """Return the messages to send on a link now."""
-        return self._echo(link) + self._own(link, now_s)
+        return self._echo(link) + (self._own(link, now_s) if self._flights else [])
 
     def _own(self, link: int, now_s: float) -> list[MavlinkMessage]:
         heard = [(flight, at_s) for flight in self._flights if (at_s := flight.reported_s(now_s)) is not None]

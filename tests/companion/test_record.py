@@ -12,6 +12,7 @@ from companion import event_record
 from companion.config import Config, IdentityConfig, TrafficConfig
 from companion.errors import PeerDataError
 from companion.events import FlightMode, GlobalPosition, SetMode, VelocitySetpoint
+from companion.events.base import Command, Event
 
 HEADER = event_record.Header(aircraft="A", software="0", config=Config(identity=IdentityConfig(uas_id="A")))
 STEP = event_record.Step(
@@ -94,3 +95,9 @@ def test_a_growing_file_is_read_on_from_where_it_stopped(tmp_path):
             end.flush()
             found += reader.records()
     assert found == [HEADER, STEP, STEP]
+
+
+@pytest.mark.parametrize("kind", [*Event.__subclasses__(), *Command.__subclasses__()])
+def test_no_event_or_command_has_subclasses(kind: type) -> None:
+    """Loops over events and commands compare types, and would not recognise a subclass."""
+    assert not kind.__subclasses__()

@@ -13,6 +13,7 @@ from companion.autopilot.readers import unpack
 from companion.autopilot.wire import (
     CURRENT_MODE,
     MAX_FRAME_BYTES,
+    Frame,
     FrameScanner,
     MavlinkReader,
     MavlinkWriter,
@@ -193,7 +194,7 @@ def test_the_parts_of_a_frame() -> None:
     assert (frame.payload, frame.raw) == (b"\xaa\xbb", wide_frame())
     assert message_id_of(wide_frame()) == 0x123456
     old = bytes([0xFE, 2, 7, 42, 191, 99, 0xAA, 0xBB, 0x01, 0x02])
-    assert cut(old) == (99, 42, 191, b"\xaa\xbb", old)
+    assert cut(old) == Frame(99, 42, 191, b"\xaa\xbb", old)
     assert message_id_of(old) == 99
 
 

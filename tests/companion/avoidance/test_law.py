@@ -291,7 +291,7 @@ def test_history_reaches_back_to_the_oldest_message(rate_hz: int) -> None:
     for step in range(60 * rate_hz + 1):
         one.note_velocity(step / rate_hz, (0.01 * step / rate_hz, 0.0, 0.0))
         if step % (7 * rate_hz) == 0 and step >= 16 * rate_hz:
-            count = one._state.samples
+            count = one._samples
             for age in (0.0, 3.0, 15.0):
                 t = step / rate_hz - age
                 n, _, _ = kernels.own_velocity_at(kernels.History(*one._history), count, t)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import pytest
 
 from companion.remote_id.messages import Location
@@ -179,4 +180,4 @@ def test_a_belief_with_which_a_message_agrees_is_as_fresh_as_that_message():
     for least_s, kept in ((3.0, first), (0.5, later)):
         beliefs = [first]
         hold(beliefs, later, 1.0, least_s)
-        assert beliefs == [kept._replace(agreed_s=1.0)]
+        assert beliefs == [msgspec.structs.replace(kept, agreed_s=1.0)]

@@ -221,7 +221,8 @@ def test_waypoints_are_passed_within_their_acceptance_radius(airborne, firmware)
     b.run(2.0)
     assert b.vehicle.mode is (VehicleMode.MISSION if firmware is AP else VehicleMode.HOLD)
     current = b.vehicle._telemetry.builders[42](b.now_s)
-    assert current.mission_state == mavlink.MISSION_STATE_COMPLETE
+    _, _, state, _ = mavlink.MAVLink_mission_current_message.unpacker.unpack(current.body)
+    assert state == mavlink.MISSION_STATE_COMPLETE
 
 
 @BOTH
