@@ -31,7 +31,11 @@ def level(path: TrajectoryFile) -> TrajectoryFile:
             t_s, alt_m = a.t_s + share * (b.t_s - a.t_s), a.alt_m + share * (b.alt_m - a.alt_m)
             waypoints.append(Waypoint(t_s=t_s, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m))
         waypoints.append(b)
-    return TrajectoryFile(altitude=path.altitude, waypoint=tuple(waypoints))
+    if len(waypoints) == len(path.waypoint):
+        return path
+    # Of a very long diagonal leg, the pieces nearest to the equator may still be too long. A resolved
+    # configuration is read again for a replay, which must not divide them then.
+    return level(TrajectoryFile(altitude=path.altitude, waypoint=tuple(waypoints)))
 
 
 def _length_m(start: Vec3, end: Vec3) -> float:

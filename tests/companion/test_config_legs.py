@@ -78,3 +78,14 @@ def test_a_resolved_configuration_is_not_divided_again(file: Path) -> None:
     resolved = file.with_name("resolved.toml")
     resolved.write_bytes(configuration.dump(loaded))
     assert configuration.load(resolved) == loaded
+
+
+def test_pieces_of_a_very_long_leg_are_not_divided_again(file: Path) -> None:
+    """Of these 220 km, the pieces at the southern end are 2 % longer than the mean."""
+    far = EAST.replace("47.0, lon_deg = 179.9", "68.55, lon_deg = 10.0")
+    (file.parent / "t.toml").write_text(far.replace("47.0, lon_deg = -179.5", "67.2, lon_deg = 13.8"))
+    file.write_text(KEYS.partition("[limits]")[0])
+    path = configuration.load(file).path
+    assert path is not None
+    assert level(path) == path
+    assert len(path.waypoint) > 40
