@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from pathlib import Path
 
 import pytest
 
 from companion import config as configuration
 from companion.avoidance.path import check_path, local_path
+from companion.avoidance.trajectory import check_speeds
+from companion.config import LimitsConfig, TrajectoryFile, Waypoint, level
 from companion.geometry import LocalFrame
 
 EAST = """altitude = "msl"
@@ -45,6 +49,25 @@ def test_a_long_leg_keeps_its_height_and_its_parallel(file: Path) -> None:
         assert (lat_deg - 47.0) * 111_200.0 == pytest.approx(0.0, abs=0.6)
 
 
+@pytest.mark.parametrize(("lat_deg", "to"), [(47.0, 0.3), (47.0, -0.3), (-68.0, 0.3), (68.0, 0.6)])
+def test_a_long_leg_at_a_limit_keeps_it_on_all_pieces(lat_deg: float, to: float) -> None:
+    """A degree of longitude is up to 1.3 % shorter at the far end of these diagonal legs."""
+    start, end = (lat_deg, 8.0, 100.0), (lat_deg + to, 8.7, 900.0)
+    north, east, _ = LocalFrame(*start).to_ned(*end)
+    seconds = math.hypot(north, east, 800.0) / 20.0
+    path = TrajectoryFile(
+        altitude="msl",
+        waypoint=tuple(
+            Waypoint(t_s=t_s, lat_deg=lat, lon_deg=lon, alt_m=alt)
+            for t_s, (lat, lon, alt) in ((0.0, start), (seconds, end))
+        ),
+    )
+    flown = local_path(level(path), LocalFrame(*start), 0.0)
+    check_speeds(flown, LimitsConfig(max_speed_mps=20.0))
+    climbs = [(b.alt_m - a.alt_m) / (b.t_s - a.t_s) for a, b in itertools.pairwise(level(path).waypoint)]
+    assert climbs == pytest.approx([800.0 / seconds] * len(climbs), rel=1e-6)
+
+
 def test_a_long_leg_within_a_fence_is_checked_where_it_is_flown(file: Path) -> None:
     """Straight in the local frame it would run 44 m nearer to the pole halfway, beyond the border."""
     check_path(configuration.load(file), "c.toml")
@@ -55,3 +78,14 @@ def test_a_resolved_configuration_is_not_divided_again(file: Path) -> None:
     resolved = file.with_name("resolved.toml")
     resolved.write_bytes(configuration.dump(loaded))
     assert configuration.load(resolved) == loaded
+
+
+def test_pieces_of_a_very_long_leg_are_not_divided_again(file: Path) -> None:
+    """Of these 220 km, the pieces at the southern end are 2 % longer than the mean."""
+    far = EAST.replace("47.0, lon_deg = 179.9", "68.55, lon_deg = 10.0")
+    (file.parent / "t.toml").write_text(far.replace("47.0, lon_deg = -179.5", "67.2, lon_deg = 13.8"))
+    file.write_text(KEYS.partition("[limits]")[0])
+    path = configuration.load(file).path
+    assert path is not None
+    assert level(path) == path
+    assert len(path.waypoint) > 40

@@ -14,6 +14,7 @@ import json
 import os
 import re
 import shutil
+from collections.abc import Set
 from pathlib import Path
 
 from companion.config import RecordConfig
@@ -113,17 +114,21 @@ def replace_file(path: Path, data: bytes) -> None:
 def finished_runs(root: Path) -> list[Path]:
     """Run folders that may be deleted, ordered by the time in their names, oldest first."""
     try:
-        found = sorted((_begun(name), name) for name in os.listdir(root) if _RUN_NAME.fullmatch(name))
+        names = [name for name in os.listdir(root) if _RUN_NAME.fullmatch(name)]
     except OSError:
         return []
+    # The name that the configuration gives may itself end in a number: others then continue it with theirs.
+    first = {name.rpartition("-")[0] for name in names}
+    found = sorted((_begun(name, first), name) for name in names)
     return [root / name for _, name in found if _is_finished_run(root / name)]
 
 
-def _begun(name: str) -> tuple[str, int]:
-    """Time and number in the name of a run. Without a clock, many runs begin at the same time."""
+def _begun(name: str, first: Set[str]) -> tuple[str, int]:
+    """Time and number in the name of a run; `first`: names without one. Without a clock, many runs begin at
+    the same time."""
     match = _RUN_NAME.fullmatch(name)
     assert match is not None
-    return match[1], int(match[2] or 1)
+    return match[1], 1 if name in first else int(match[2] or 1)
 
 
 def _is_finished_run(folder: Path) -> bool:

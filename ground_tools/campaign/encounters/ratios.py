@@ -46,9 +46,11 @@ def _share(happened: Bools, weights: Floats) -> tuple[float, float]:
     of few events may be small by chance.
     """
     total, count = float(weights.sum()), effective(weights)
-    share = float(weights[happened].sum()) / total
+    # Rounding may make a sum of most of the weights the larger one, or share and 1 equal.
+    share = min(float(weights[happened].sum()) / total, 1.0)
     variance = float(((weights * (happened - share)) ** 2).sum()) / total**2
-    return share, min(count, share * (1.0 - share) / variance) if variance > 0.0 else count
+    one = share * (1.0 - share)
+    return share, min(count, one / variance) if one > 0.0 and variance > 0.0 else count
 
 
 def _bound(p: float, q: float, r: float, p_end: float, q_end: float, sign: float) -> float:

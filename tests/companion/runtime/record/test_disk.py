@@ -151,9 +151,10 @@ def test_a_run_that_is_being_written_is_not_finished(runs, make_config, until):
     assert [path.name for path in finished_runs(runs)] == [*DAYS, OWN]
 
 
-def test_of_runs_that_began_at_one_time_the_first_is_the_oldest(tmp_path):
+@pytest.mark.parametrize("name", ["companion", "drone-7"])
+def test_of_runs_that_began_at_one_time_the_first_is_the_oldest(tmp_path, name):
     """As those of a computer without a clock, which begins each time in 1970."""
-    began = [f"19700101T000020Z-companion{number}" for number in ("", *(f"-{n}" for n in range(2, 12)))]
+    began = [f"19700101T000020Z-{name}{number}" for number in ("", *(f"-{n}" for n in range(2, 12)))]
     for name in (*reversed(began), DAYS[0]):
         run_folder(tmp_path, name)
     assert [path.name for path in finished_runs(tmp_path)] == [*began, DAYS[0]]

@@ -140,3 +140,15 @@ def test_intervals_are_wider_where_the_event_happens_in_encounters_of_great_weig
         low, high = ratios.interval(avoided, unavoided, np.where(fast, 3.0, 1.0))
         held += low <= true <= high
     assert 935 <= held <= 965
+
+
+@pytest.mark.parametrize("least", [0.0, 1e-17, 1e-14])
+def test_encounters_of_next_to_no_weight_do_not_matter(least):
+    """The share of all others is 1 but for rounding, which may also make it greater than 1."""
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        weights = rng.lognormal(0.0, 1.0, 200)
+        avoided = np.arange(200) != 7
+        weights[7] = least
+        low, high = ratios.interval(avoided, avoided, weights)
+        assert (low, high) == pytest.approx(ratios.interval(*np.ones((2, 199), bool), np.delete(weights, 7)))
