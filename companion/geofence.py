@@ -95,7 +95,7 @@ def divided(area: FenceArea) -> FenceArea:
     points: list[tuple[float, float]] = []
     for corner, following in edges:
         points.append(corner[:2])
-        points += [place[:2] for _, place in between(corner, following, longest_m)]
+        points += [place[:2] for place in between(corner, following, longest_m)]
     return FenceArea(inclusion=area.inclusion, points=tuple(points))
 
 

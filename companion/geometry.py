@@ -62,7 +62,7 @@ class LocalFrame:
         return float(lat), float(lon), float(alt)
 
 
-def between(start: Vec3, end: Vec3, longest_m: float) -> list[tuple[float, Vec3]]:
+def between(start: Vec3, end: Vec3, longest_m: float) -> list[Vec3]:
     """Points that divide a line into equal pieces of at most about `longest_m`; none if it is no longer.
 
     The line is straight in latitude, longitude and altitude, as autopilots fly and fence. A line that is
@@ -73,7 +73,7 @@ def between(start: Vec3, end: Vec3, longest_m: float) -> list[tuple[float, Vec3]
         start, end: latitude, longitude (deg) and altitude (m); the shorter way around the Earth is meant.
 
     Returns:
-        For each point its share of the way, and its place.
+        The places, without start and end.
     """
     north_m, east_m, _ = LocalFrame(*start).to_ned(end[0], end[1], start[2])
     # With a tolerance, so that the pieces are not divided again.
@@ -81,6 +81,5 @@ def between(start: Vec3, end: Vec3, longest_m: float) -> list[tuple[float, Vec3]
     north, east, up = end[0] - start[0], math.remainder(end[1] - start[1], 360.0), end[2] - start[2]
     shares = [piece / pieces for piece in range(1, pieces)]
     return [
-        (k, (start[0] + k * north, math.remainder(start[1] + k * east, 360.0), start[2] + k * up))
-        for k in shares
+        (start[0] + k * north, math.remainder(start[1] + k * east, 360.0), start[2] + k * up) for k in shares
     ]

@@ -72,7 +72,7 @@ _JUMP_RATE_MPS = 20.0
 _FARTHEST_M = 1_000_000.0
 """Largest distance from the local frame's origin. A position beyond it is not believed."""
 _EPSILON_S = 1e-6
-_MOST_SEPARATION_M = 150.0
+MOST_SEPARATION_M = 150.0
 """Largest separation of geoid and ellipsoid that is believed. The true one is nowhere more than 110 m."""
 _UNTRUSTED_S = 2.0
 """How long the own state must be steady after a jump or a reboot before it is usable."""
@@ -214,7 +214,7 @@ class Ownship:
                 if event.alt_ellipsoid_m is not None and event.fix_type >= 3:
                     separation_m = event.alt_ellipsoid_m - event.alt_msl_m
                     # A wrong separation would place every other aircraft far above or below us.
-                    self.separation_m = separation_m if abs(separation_m) <= _MOST_SEPARATION_M else None
+                    self.separation_m = separation_m if abs(separation_m) <= MOST_SEPARATION_M else None
             case AirPressure():
                 self._take_pressure(event, sent_s)
             case ClockRead():

@@ -22,7 +22,7 @@ def level(path: TrajectoryFile) -> TrajectoryFile:
     waypoints = [path.waypoint[0]]
     for a, b in itertools.pairwise(path.waypoint):
         start, end = ((w.lat_deg, w.lon_deg, w.alt_m) for w in (a, b))
-        places = [place for _, place in between(start, end, LONGEST_LEG_M)]
+        places = between(start, end, LONGEST_LEG_M)
         lengths = [_length_m(*pair) for pair in itertools.pairwise((start, *places, end))]
         whole_m, way_m = sum(lengths), 0.0
         for (lat_deg, lon_deg, _), length_m in zip(places, lengths, strict=False):

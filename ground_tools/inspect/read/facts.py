@@ -51,7 +51,9 @@ from companion.events import (
     VehicleTime,
 )
 from companion.events.sensed import thing_of
+from companion.flight_logs.logged import FIX_3D
 from companion.geometry import LocalFrame, Vec3
+from companion.ownship import MOST_SEPARATION_M
 from companion.remote_id.messages import BasicId, Location
 from companion.traffic.fix import make_fix
 from ground_tools.inspect.read.conditions import GnssQuality
@@ -65,9 +67,6 @@ _CLOCK_OFF_S = 5.0
 
 UTC_NOISE_S = 5.0
 """Reports of UTC over a bad telemetry link are late by up to about this."""
-_FIX_3D = 3
-_MOST_UNDULATION_M = 150.0
-"""Largest height of the geoid that is believed, as in `companion.ownship`."""
 _FIX = 8
 """Columns of a fix."""
 _RARE = (
@@ -248,10 +247,10 @@ class Gatherer:
                 self._decide(now_s, item)
             case GnssFix():
                 self.gnss.add(now_s, item)
-                if item.alt_ellipsoid_m is not None and item.fix_type >= _FIX_3D:
+                if item.alt_ellipsoid_m is not None and item.fix_type >= FIX_3D:
                     height_m = item.alt_ellipsoid_m - item.alt_msl_m
                     # As in flight: a wrong one would show every other aircraft far above or below.
-                    if abs(height_m) <= _MOST_UNDULATION_M:
+                    if abs(height_m) <= MOST_SEPARATION_M:
                         self.undulation.append(height_m)
             case VehicleTime():
                 if item.utc_s is not None:

@@ -152,3 +152,9 @@ def test_encounters_of_next_to_no_weight_do_not_matter(least):
         weights[7] = least
         low, high = ratios.interval(avoided, avoided, weights)
         assert (low, high) == pytest.approx(ratios.interval(*np.ones((2, 199), bool), np.delete(weights, 7)))
+
+
+def test_a_ratio_does_not_depend_on_the_scale_of_the_weights():
+    avoided, unavoided = np.array([True, False, False]), np.array([True, True, False])
+    for scale in (0.01, 1.0, 100.0):
+        assert ratios.ratio(avoided, unavoided, scale * np.array([1.0, 3.0, 1.0])) == pytest.approx(0.25)
